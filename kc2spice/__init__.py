@@ -31,9 +31,9 @@ if TYPE_CHECKING:
     from kc2spice.core.quantities import Section
     from kc2spice.netlist.circuit import Param, Pin
     from kc2spice.netlist.deck import Deck
-    from kc2spice.netlist.library import Subcircuit, read_lib
     from kc2spice.netlist.printers.dialect import Dialect
     from kc2spice.netlist.printers.dialect_registry import register_dialect
+    from kc2spice.netlist.subcircuit_library import Subcircuit, read_lib
     from kc2spice.rom.affine import AffineModel, ModelParameter
     from kc2spice.rom.linear_model import Certificate, LinearModel, Port
     from kc2spice.rom.reduction import Reduction, reduce
@@ -41,9 +41,9 @@ if TYPE_CHECKING:
     from kc2spice.rom.reductors.rational_krylov import RationalKrylov
     from kc2spice.rom.reductors.registry import register_reductor
     from kc2spice.scene.load import load_scene
-    from kc2spice.scene.model import PartType, Scene, Terminal
+    from kc2spice.scene.scene_classes import PartType, Scene, Terminal
+    from kc2spice.synthesis.model_to_subcircuit import subcircuit
     from kc2spice.synthesis.parametric_resonators import parametric_subcircuit
-    from kc2spice.synthesis.realize import subcircuit
     from kc2spice.workflow.fit import fit
 
 __all__ = [
@@ -91,14 +91,14 @@ _HOME_MODULES = {
     **dict.fromkeys(("LinearModel", "Port", "Certificate"), "rom.linear_model"),
     **dict.fromkeys(("AffineModel", "ModelParameter"), "rom.affine"),
     **dict.fromkeys(("Pin", "Param"), "netlist.circuit"),
-    **dict.fromkeys(("PartType", "Scene", "Terminal"), "scene.model"),
+    **dict.fromkeys(("PartType", "Scene", "Terminal"), "scene.scene_classes"),
     "Deck": "netlist.deck",
     "Dialect": "netlist.printers.dialect",
     "Domain": "core.domains",
     "Section": "core.quantities",
     "fit": "workflow.fit",
     "load_scene": "scene.load",
-    **dict.fromkeys(("Subcircuit", "read_lib"), "netlist.library"),
+    **dict.fromkeys(("Subcircuit", "read_lib"), "netlist.subcircuit_library"),
     **dict.fromkeys(("read_affine_model", "read_model"), "bodies.readers"),
     "RationalKrylov": "rom.reductors.rational_krylov",
     **dict.fromkeys(("Reduction", "reduce"), "rom.reduction"),
@@ -106,7 +106,7 @@ _HOME_MODULES = {
     "register_dialect": "netlist.printers.dialect_registry",
     "register_reductor": "rom.reductors.registry",
     "parametric_subcircuit": "synthesis.parametric_resonators",
-    "subcircuit": "synthesis.realize",
+    "subcircuit": "synthesis.model_to_subcircuit",
 }  # module that defines the name, relative to the package; ``api`` defines all other names
 
 

@@ -10,7 +10,7 @@ import tempfile
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
-from contextlib import ExitStack, nullcontext
+from contextlib import ExitStack, nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from html import escape
 from pathlib import Path
@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from kc2spice.core import __version__
-from kc2spice.core.argument_names import naming_arguments
+from kc2spice.core.argument_and_option_names import use_arguments_in_errors
 from kc2spice.core.errors import NamedValues, UsageError, unknown
 from kc2spice.core.figure import Figure
 from kc2spice.core.files import stage_directory
@@ -30,8 +30,8 @@ from kc2spice.netlist.deck import Deck
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.scene.checks import Check
 from kc2spice.scene.load import load_scene
-from kc2spice.scene.model import Scene
 from kc2spice.scene.parttype import register_part_type as register_part
+from kc2spice.scene.scene_classes import Scene
 from kc2spice.scene.settings import ProbeKeys
 from kc2spice.sim.ngspice import find_ngspice, run_deck, write_files
 from kc2spice.workflow.decks import prepare_deck, protect_other_decks
@@ -92,10 +92,12 @@ def build(scene: AnyScene) -> dict[str, LinearModel]:
     from kc2spice.parts.bodies._linear_body import LinearBody
 
     loaded = load_scene(scene)
-    models = {}
+    models = NamedValues()
     for name, part in loaded.parts.items():
         if isinstance(part.type, LinearBody):
-            models[name] = replace(full_model_without_scene(part, loaded, StageTimer()), name=name)
+            with loaded.locate_errors(name):
+                model = full_model_without_scene(part, loaded, StageTimer())
+            models[name] = replace(model, name=name)
     return models
 
 
@@ -136,6 +138,7 @@ def deck(scene: AnyScene, *, trust: bool = False) -> Deck:
     >>> "Rlamp drive_out 0 6" in deck.files["lamp.cir"]
     True
     """
+    _require_flags(trust=trust)
     return prepare_deck(load_scene(scene), StageTimer(), trust=trust)[1]
 
 
@@ -165,9 +168,9 @@ def run(
         Control functions, keyed by the name of their ``controller`` part. These control functions
         replace the functions in the Python file beside the scene. Each function has the form
         ``function(time, inputs) -> output``, in SI units. If the simulation is repeated with other
-        settings, ``time`` begins at 0 again. A control function that stores values between its
-        calls must then reset these values. The Python file beside the scene is loaded again for
-        each simulation.
+        settings, ``time`` begins at 0 again. At the start of each repeated simulation, a control
+        function must reset the values that it stores between calls. The Python file beside the
+        scene is loaded again for each simulation.
     overrides : mapping, optional
         New values of keys of the scene, by dotted key, as for :func:`kc2spice.load_scene`.
 
@@ -203,10 +206,11 @@ def run(
     >>> print(f"{half.metrics['current_a']:.4f} A")
     1.0000 A
     """
+    _require_flags(trust=trust)
     directory = None if out is None else _require_path(out)
-    with naming_arguments("overrides"):
+    with use_arguments_in_errors("overrides"):
         loaded = load_scene(scene, overrides or {})
-    edited = None if deck is None else Path(deck)
+    edited = None if deck is None else _require_deck_path(deck)
     output = (
         tempfile.TemporaryDirectory(prefix="kc2spice-")
         if directory is None
@@ -231,7 +235,7 @@ def run(
 
 
 def simulate(deck: Deck, *, timeout: float | None = None) -> Result:
-    """Simulate a deck in ngspice and return its waves.
+    """Simulate a deck in ngspice and return its waveforms or frequency responses.
 
     The result has no metrics and no checks, because both require the parts of a scene. To compute
     metrics and checks for an edited netlist, call :func:`run` with its argument ``deck``.
@@ -274,6 +278,15 @@ def simulate(deck: Deck, *, timeout: float | None = None) -> Result:
             where="deck",
             got=got,
             hint="to simulate a scene, write kc.run(SCENE)",
+        )
+    is_number = isinstance(timeout, (int, float)) and not isinstance(timeout, bool)
+    if timeout is not None and not (is_number and timeout > 0):
+        raise UsageError(
+            "this value is not a time in seconds",
+            where="timeout",
+            got=repr(timeout)[:120],
+            expected="a number above 0, or None for no limit",
+            hint="for example timeout=60",
         )
     with tempfile.TemporaryDirectory(prefix="kc2spice-") as work:
         waves = run_deck(deck, Path(work), timeout=timeout)
@@ -322,7 +335,8 @@ def export(
     # ``export_scene`` is imported here, because ``run`` does not need this module
     from kc2spice.workflow.export import export_scene
 
-    with naming_arguments("values"):
+    _require_flags(trust=trust)
+    with use_arguments_in_errors("values"):
         return export_scene(load_scene(scene), _require_path(out), dialect, trust=trust)
 
 
@@ -342,7 +356,7 @@ def verify(
         Directory of ``verify.json`` and ``verify.html``. By default no files are written.
     full : bool, optional
         Whether to integrate the full models over up to 400 000 steps instead of 4 000, and to solve
-        large full models at all frequencies.
+        full models of more than 3 000 unknowns at all frequencies of the comparison, not only at 3.
     trust : bool, default False
         Whether files that the scene includes may run commands and write files on this machine.
 
@@ -373,17 +387,17 @@ def verify(
     # ``verify_scenes`` is imported here, because ``run`` does not need this module
     from kc2spice.workflow.verify.scene_verification import verify_scenes
 
+    _require_flags(full=full, trust=trust)
     loaded = load_scene(scene)
     with tempfile.TemporaryDirectory(prefix="kc2spice-") as work:
-        folder = Path(work) / "verify" if out is None else Path(out)
+        folder = Path(work) / "verify" if out is None else _require_path(out)
         record = verify_scenes([loaded], folder, full=full, trust=trust)
-    result: dict[str, Any] = record["scenes"][loaded.name]
-    return result
+    return NamedValues(record["scenes"][loaded.name])
 
 
 @dataclass(frozen=True, repr=False, eq=False)
 class Result:
-    """Waves, metrics and checks of a simulation, with the deck and the figures.
+    """Waveforms, metrics, checks, deck and figures of a simulation.
 
     Attributes
     ----------
@@ -391,8 +405,8 @@ class Result:
     metrics : numbers by name, in the SI unit that ``record["metric_units"]`` states. An unknown
         name in ``metrics``, ``waves`` or ``units`` raises a KeyError that lists similar names.
     waves : arrays of shape (points,) in SI units, keyed by name, with one value for each point of
-        the ``scale``. The waves of an ``ac`` analysis are complex arrays.
-    units : SI unit of each wave, by name.
+        the ``scale``. The waveforms of an ``ac`` analysis are complex arrays.
+    units : SI unit of each waveform, keyed by the name of the waveform.
     checks : checks of physical laws, such as conservation of energy, each with ``name``, ``value``,
         ``limit``, ``passed`` and ``advice``.
     record : the content of ``result.json`` without the names of files.
@@ -412,7 +426,7 @@ class Result:
 
     @property
     def scale(self) -> str:
-        """Name of the independent variable: ``time``, ``frequency`` or ``sweep``."""
+        """Name of the scale: independent variable ``time``, ``frequency`` or ``sweep``."""
         return next(iter(self.waves))
 
     @property
@@ -436,7 +450,7 @@ class Result:
         return self._require_scale("frequency")
 
     def _require_scale(self, scale: str) -> np.ndarray:
-        """Return the independent variable's values; raise an error unless it is ``scale``."""
+        """Return the independent variable; require that its name is ``scale``."""
         if self.scale != scale:
             raise UsageError(
                 f"this result is not a function of {scale}",
@@ -448,7 +462,7 @@ class Result:
         return self.waves[scale]
 
     def plot(self, *names: str) -> Any:
-        """Plot the waves with the given names, or the figure with the given name.
+        """Plot the waveforms with the given names, or the figure with the given name.
 
         Without names, the first of ``figures`` is drawn. Waves of one unit share a pair of axes.
         Complex waves are drawn by magnitude. The method returns a matplotlib figure, which
@@ -458,7 +472,7 @@ class Result:
         ------
         UsageError : the wave or figure does not exist, or the wave has only one point.
         """
-        from kc2spice.report.figures import make_notebook_figure
+        from kc2spice.report.matplotlib_figures import make_notebook_figure
         from kc2spice.report.probe_figure import plot_probes
 
         if not names and self.figures:
@@ -469,7 +483,7 @@ class Result:
         for name in names:
             if name not in wave_names:
                 raise unknown(
-                    "the result has no such waveform or figure",
+                    "the result has neither a waveform nor a plot of this name",
                     name,
                     [*self.figures, *wave_names],
                     self.scene,
@@ -486,7 +500,7 @@ class Result:
         )
 
     def to_xarray(self) -> Any:
-        """Return the waves as an ``xarray.Dataset`` with the coordinate :attr:`scale`.
+        """Return the waveforms as an ``xarray.Dataset`` over time, frequency or swept key.
 
         Returns
         -------
@@ -526,8 +540,9 @@ class Result:
         UsageError : ``out`` cannot be written, or another deck in ``out`` includes a different
             library of the same name.
         """
-        with stage_directory(out) as work:
-            protect_other_decks(Path(out), self.deck.files)
+        folder = _require_path(out)
+        with stage_directory(folder) as work:
+            protect_other_decks(folder, self.deck.files)
             if self._done is not None:
                 write_run_files(
                     self._done, work, StageTimer(wall_s=dict(self._done.wall_s)), png=png
@@ -537,7 +552,7 @@ class Result:
                 waves = Waveforms(dict(self.waves), {})
                 files = [*self.deck.files, *write_waveforms(waves, self.units, work)]
                 write_record({**self.record, "files": [*files, "result.json"]}, work)
-        return Path(out)
+        return folder
 
     def __repr__(self) -> str:
         points = self.waves[self.scale].size
@@ -582,7 +597,7 @@ def _make_result(
     checks: tuple[Check, ...] = (),
     **more: Any,
 ) -> Result:
-    """Combine deck, waves, record and checks of a run into a :class:`Result`."""
+    """Combine deck, waveforms, record and checks of a run into a :class:`Result`."""
     scale = next(iter(waves.data))
     units = {scale: SCALES.get(scale, ""), **deck.units}
     metrics, data = NamedValues(record.get("metrics", {})), NamedValues(waves.data)
@@ -600,7 +615,7 @@ class Table(tuple[dict[str, Any], ...]):
     @property
     def columns(self) -> tuple[str, ...]:
         """Names of the columns, in the order of the keys of each row."""
-        return tuple(next(iter(self)))
+        return tuple(next(iter(self), ()))
 
     def __getitem__(self, column: Any) -> Any:
         """Return a column by name, or a row by number."""
@@ -611,11 +626,20 @@ class Table(tuple[dict[str, Any], ...]):
         return [row[column] for row in self]
 
     def save(self, path: str | Path) -> Path:
-        """Write the table to a CSV file and return its path."""
-        from kc2spice.workflow.sweep.row_store import write_csv
+        """Write the table to a file and return its path.
 
-        write_csv({name: self[name] for name in self.columns}, Path(path))
-        return Path(path)
+        The format is Parquet if the name ends in ``.parquet``, otherwise CSV. Missing folders of
+        the path are created.
+
+        Raises
+        ------
+        UsageError : the name has the suffix of another format, such as ``.xlsx``, or the file
+            cannot be written.
+        MissingToolError : the format is Parquet, and pyarrow is not installed.
+        """
+        from kc2spice.workflow.sweep.row_store import save_table
+
+        return save_table({name: self[name] for name in self.columns}, path)
 
     def to_dataframe(self) -> Any:
         """Return the table as a ``pandas.DataFrame`` with the same columns.
@@ -652,6 +676,37 @@ class Table(tuple[dict[str, Any], ...]):
         return _format_html_table(self.columns, self._format_cells())
 
 
+def _require_flags(**flags: object) -> None:
+    """Raise an error if an argument that is either True or False has another value.
+
+    The string ``"False"``, for example, would otherwise count as true.
+    """
+    for name, value in flags.items():
+        if not isinstance(value, (bool, np.bool_)):
+            raise UsageError(
+                "this value is neither True nor False",
+                where=name,
+                got=repr(value)[:120],
+                expected="True or False",
+                hint=f"write {name}=False, or {name}=True",
+            )
+
+
+def _require_deck_path(deck: object) -> Path:
+    """Return the argument ``deck`` as a path; reject all other objects."""
+    if isinstance(deck, (str, Path)):
+        return Path(deck)
+    raise UsageError(
+        "deck is not the path of a netlist",
+        where="deck",
+        got=type(deck).__name__,
+        expected="the path of a deck that kc.export or kc.run wrote",
+        hint="to simulate a deck without a file, write kc.simulate(DECK)"
+        if isinstance(deck, Deck)
+        else 'for example deck="netlists/SCENE.cir"',
+    )
+
+
 def _require_path(out: object) -> Path:
     """Return ``out`` as a path; raise an error if it is neither a string nor a path."""
     if isinstance(out, (str, Path)):
@@ -667,6 +722,59 @@ def _require_path(out: object) -> Path:
         if isinstance(out, (Mapping, list, tuple))
         else 'for example out="results"',
     )
+
+
+def _require_sweep_options(executor: object, workers: object, progress: object) -> None:
+    """Reject an executor, worker count or progress function of a wrong type.
+
+    Raises
+    ------
+    UsageError : ``executor`` has no method ``submit``, ``workers`` is not a whole number from 1 on,
+        or ``progress`` cannot be called.
+    """
+    if workers is not None and not (
+        isinstance(workers, (int, np.integer)) and not isinstance(workers, bool) and workers >= 1
+    ):
+        raise UsageError(
+            "this value is not a number of simulations",
+            where="workers",
+            got=repr(workers),
+            expected="a whole number from 1 on, or None for the number of processors",
+            hint="for example workers=2",
+        )
+    if executor is not None and not callable(getattr(executor, "submit", None)):
+        raise UsageError(
+            "this object is not an executor",
+            where="executor",
+            got=repr(executor)[:120],
+            expected="an object with the method submit, such as a ThreadPoolExecutor",
+            hint="leave out executor, or write workers=2 for two parallel simulations",
+        )
+    if progress is not None and not callable(progress):
+        raise UsageError(
+            "this object is not a function",
+            where="progress",
+            got=repr(progress)[:120],
+            expected="a function of the number of finished points and the number of all points",
+            hint="for example progress=print",
+        )
+
+
+def _suggest_values(item: object) -> str:
+    """Return advice to write the values of a swept key as a list."""
+    text = item if isinstance(item, str) else ""
+    words = text.removeprefix("log:").split(":")
+    if len(words) == 3:
+        try:
+            first, last, count = float(words[0]), float(words[1]), int(words[2])
+        except ValueError:
+            return f"write a list of values, such as {words[:2]}"
+        function = "geomspace" if text.startswith("log:") else "linspace"
+        return f"write numpy.{function}({first:g}, {last:g}, {count})"
+    values: list[Any] = [word.strip() for word in text.split(",")]
+    with suppress(ValueError):
+        values = list(map(float, values))
+    return f"write {values}" if len(values) > 1 else f"write [{item!r}] for a single value"
 
 
 def _require_lists(values: Mapping[str, Sequence[Any]]) -> None:
@@ -693,7 +801,7 @@ def _require_lists(values: Mapping[str, Sequence[Any]]) -> None:
                 where=f"values: {key}",
                 got=repr(item)[:120],
                 expected=expected,
-                hint=f"write [{item!r}] for a single value",
+                hint=_suggest_values(item),
             )
     if not values or not all(map(len, values.values())):
         raise UsageError(
@@ -715,8 +823,8 @@ def sweep(
 ) -> Table:
     """Run a scene at every combination of values; the last key varies fastest.
 
-    This function and the command ``kc2spice sweep`` run the same points. Only the command can
-    continue an interrupted sweep.
+    This function and the command ``kc2spice sweep`` run the same points. Only the command
+    ``kc2spice sweep`` can continue an interrupted sweep; this function cannot.
 
     Parameters
     ----------
@@ -764,17 +872,18 @@ def sweep(
     from kc2spice.workflow.sweep.grid import make_plan
     from kc2spice.workflow.sweep.point import SweepSettings, read_scene_text
     from kc2spice.workflow.sweep.row_store import collect_columns
-    from kc2spice.workflow.sweep.sweeps import make_sweep_of_plan, run_points
+    from kc2spice.workflow.sweep.sweep_execution import make_sweep_of_points, run_points
     from kc2spice.workflow.sweep.workers import count_available_cores
 
     _require_lists(values)
+    _require_sweep_options(executor, workers, progress)
     if executor is None:
         find_ngspice()
     by_name = isinstance(scene, (str, Path))
     source = read_scene_text(str(scene)) if by_name else load_scene(scene)
     plan = make_plan({key: tuple(item) for key, item in values.items()})
-    with naming_arguments("values"):
-        definition = make_sweep_of_plan(SweepSettings(source), plan, dict.fromkeys(plan.keys, ""))
+    with use_arguments_in_errors("values"):
+        definition = make_sweep_of_points(SweepSettings(source), plan, dict.fromkeys(plan.keys, ""))
     result: dict[int, Any] = {}
     with ExitStack() as stack, warnings.catch_warnings():
         warnings.simplefilter("ignore")

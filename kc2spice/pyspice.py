@@ -10,7 +10,7 @@ import logging
 from typing import Any, Literal
 
 from kc2spice.core.optional_libraries import import_optional
-from kc2spice.netlist.library import Subcircuit
+from kc2spice.netlist.subcircuit_library import Subcircuit
 
 Package = Literal["PySpice", "InSpice"]
 

@@ -13,7 +13,7 @@ NAMES_BY_MODULE = {
         "compute_local_compliance compute_sphere_compliance compute_stresses_under_force "
         "compute_surface_compliance fit_indentation_law make_sphere_model solve_contact_forces"
     ),
-    "kc2spice.bodies.enriched_model": "correct_responses enrich_model",
+    "kc2spice.bodies.enriched_model": "correct_responses enrich_model solve_definite",
     "kc2spice.bodies.face_motion": "FaceMotion sample_face_motion",
     "kc2spice.bodies.fields": (
         "FieldProbe compute_largest_principal_stress compute_lowest_modes evaluate_at_nodes "
@@ -40,8 +40,10 @@ NAMES_BY_MODULE = {
     "kc2spice.cli.doctor": "_PYTHON_PACKAGES",
     "kc2spice.cli.main": "EXAMPLES app",
     "kc2spice.cli.terminal_output": "OutputRecipient print_result",
-    "kc2spice.core": "cache install_commands laws progress quantities",
-    "kc2spice.core.argument_names": "name_arguments name_options",
+    "kc2spice.core": "cache constitutive_laws=laws install_commands progress quantities",
+    "kc2spice.core.argument_and_option_names": (
+        "replace_options_by_arguments replace_arguments_by_options"
+    ),
     "kc2spice.core.cache": "load_or_build",
     "kc2spice.core.domains": (
         "CONSERVATIVE DOMAINS PORTS QUANTITIES SPICE_UNITS TABLE find_across_quantity find_domain"
@@ -58,7 +60,7 @@ NAMES_BY_MODULE = {
     ),
     "kc2spice.core.memory": "find_available_bytes",
     "kc2spice.core.memory_store": "Workspace",
-    "kc2spice.core.mesh_error": "MESH_ERROR_PREFIX MESH_QUANTITIES list_mesh_errors",
+    "kc2spice.core.mesh_error_descriptions": "MESH_ERROR_PREFIX MESH_QUANTITIES list_mesh_errors",
     "kc2spice.core.optional_libraries": "OPTIONAL_LIBRARIES import_optional",
     "kc2spice.core.plugins": "list_entry_points load_plugin",
     "kc2spice.core.probe_values": "compute_mean_frequency",
@@ -80,7 +82,7 @@ NAMES_BY_MODULE = {
         "PulseKeys RecordedWave Waveforms differentiate make_constant_waveform "
         "make_linear_waveform make_pulse_waveform make_sine_waveform"
     ),
-    "kc2spice.equations.replay": "find_replayed_nets",
+    "kc2spice.equations.recorded_sources": "find_replayed_nets",
     "kc2spice.equations.scene_laws": "SceneLaws get_scene_laws store_laws",
     "kc2spice.fem": "magnet_field materials",
     "kc2spice.fem.body_keys": "DampingKeys",
@@ -92,7 +94,7 @@ NAMES_BY_MODULE = {
         "evaluate_functions_at_point find_common_faces find_face_nodes"
     ),
     "kc2spice.fem.magnet_field": (
-        "LOWER SPHERE choose_compared_count compute_catch_table make_field_assembler"
+        "LOWER SPHERE choose_compared_count compute_magnetostatic_table make_field_assembler"
     ),
     "kc2spice.fem.magnet_keys": "CatchKeys RingKeys",
     "kc2spice.fem.magnet_rings": (
@@ -102,11 +104,11 @@ NAMES_BY_MODULE = {
     "kc2spice.fem.materials": "Material find_material",
     "kc2spice.fem.mesh_cells": "CellBlock make_quadratic_mesh reject_folded_elements",
     "kc2spice.fem.mesh_file": "measure_extent read_mesh",
-    "kc2spice.fem.solid": "Solid assemble_solid compute_node_shares",
+    "kc2spice.fem.solid": "Solid assemble_solid compute_node_shares find_mesh_frequency_limit",
     "kc2spice.fem.thermal_materials": (
         "find_resistance_coefficient find_thermal_material load_thermal_library"
     ),
-    "kc2spice.linalg": "factor pardiso processor",
+    "kc2spice.linalg": "factor openblas_kernels pardiso",
     "kc2spice.linalg.factor": "factorise_quasi_definite",
     "kc2spice.linalg.quasidefinite": "QuasiDefiniteFactor find_supernodes",
     "kc2spice.netlist": "deck",
@@ -121,12 +123,11 @@ NAMES_BY_MODULE = {
     ),
     "kc2spice.netlist.importer": "translate_circuit",
     "kc2spice.netlist.include_scan": "read_checked_circuit read_included_netlist",
-    "kc2spice.netlist.library": (
-        "Header ReductionSummary Subcircuit join_comments parse_subcircuits read_lib"
-    ),
     "kc2spice.netlist.lint": "find_wiring_mistakes require_valid_wiring",
     "kc2spice.netlist.nodal": "NodalCircuit",
-    "kc2spice.netlist.prefixes": "format_with_prefix read_parameter read_value with_prefixes",
+    "kc2spice.netlist.scale_factors": (
+        "format_with_prefix read_parameter read_value write_numbers_with_prefixes"
+    ),
     "kc2spice.netlist.printers": "dialect_registry",
     "kc2spice.netlist.printers.dialect_registry": (
         "find_dialect list_deck_dialects list_dialect_names"
@@ -135,6 +136,9 @@ NAMES_BY_MODULE = {
     "kc2spice.netlist.printers.ngspice": "Printer",
     "kc2spice.netlist.printers.plot_script": "format_plot_script",
     "kc2spice.netlist.printers.verilog_a": "format_module",
+    "kc2spice.netlist.subcircuit_library": (
+        "Header ReductionSummary Subcircuit join_comments parse_subcircuits read_lib"
+    ),
     "kc2spice.netlist.transforms": "make_array_deck with_parameters",
     "kc2spice.parts.acoustics._acoustic_load": "collect_load",
     "kc2spice.parts.acoustics._radiation_impedance": "RADIATORS",
@@ -142,7 +146,7 @@ NAMES_BY_MODULE = {
     "kc2spice.parts.bodies._body_figures": "OBLIQUE_SHIFT draw_deformed_body draw_modes",
     "kc2spice.parts.bodies._body_model": "describe_reduction_target find_scene_band",
     "kc2spice.parts.bodies._body_ports": "list_inertial_pins",
-    "kc2spice.parts.bodies._face_levels": "find_node_diameter",
+    "kc2spice.parts.bodies._face_sound_levels": "find_node_diameter",
     "kc2spice.parts.bodies._heat_keys": "HeatBodyKeys",
     "kc2spice.parts.bodies._linear_body": "LinearBody",
     "kc2spice.parts.bodies._varied_keys": "list_varied_keys read_number_key with_values",
@@ -150,7 +154,7 @@ NAMES_BY_MODULE = {
     "kc2spice.parts.bodies.body": "BodyKeys build_fe_model",
     "kc2spice.parts.bodies.heat_body": "assemble_heat_model",
     "kc2spice.parts.control.pid": "PidKeys compute_settling_time make_pid_subcircuit",
-    "kc2spice.parts.electronics._template_parts": (
+    "kc2spice.parts.electronics._parts_with_netlist_template": (
         "CoilLoad make_key_parameters make_opamp_subcircuit"
     ),
     "kc2spice.parts.electronics.driver_types": (
@@ -173,7 +177,7 @@ NAMES_BY_MODULE = {
     "kc2spice.physics.declaration_cards": "write_subcircuit_items",
     "kc2spice.physics.junction": "Junction",
     "kc2spice.physics.law": "DeclaredLaw",
-    "kc2spice.physics.lookups": "TableFunction",
+    "kc2spice.physics.lookup_tables": "TableFunction",
     "kc2spice.physics.part": "make_declared_subcircuit",
     "kc2spice.physics.symbolic_algebra": "evaluate_tree multiply_trees",
     "kc2spice.pyspice": "pyspice_subcircuit",
@@ -184,7 +188,7 @@ NAMES_BY_MODULE = {
     "kc2spice.reference.system": "assemble_system",
     "kc2spice.report.charts": "render_figure",
     "kc2spice.report.drawings": "write_side_view_caption",
-    "kc2spice.report.figures": "write_pngs",
+    "kc2spice.report.matplotlib_figures": "write_pngs",
     "kc2spice.report.html": "PageSection write_page",
     "kc2spice.report.probe_figure": "plot_probes",
     "kc2spice.report.run_page": "format_operating_point format_results format_summary write_run",
@@ -193,13 +197,13 @@ NAMES_BY_MODULE = {
     "kc2spice.rom.band": "choose_natural_band compute_elastic_eigenvalues find_band_end",
     "kc2spice.rom.branch_fit": "fit_one_port",
     "kc2spice.rom.certification": "certify",
-    "kc2spice.rom.complex_constants": "ComplexConstants make_complex_constants_model",
+    "kc2spice.rom.complex_material_constants": "ComplexConstants make_complex_constants_model",
     "kc2spice.rom.constraints": (
         "compute_null_basis deflate_infinite_poles eliminate_algebraic_unknowns"
     ),
     "kc2spice.rom.decoupled_blocks": "decouple_states make_block_model",
     "kc2spice.rom.error_estimate": "compute_relative_error",
-    "kc2spice.rom.free_body": "find_free_body",
+    "kc2spice.rom.free_body": "split_free_body",
     "kc2spice.rom.heat_network": "FosterNetwork HeatLadder find_heat_ladder",
     "kc2spice.rom.instability": "explain_instability",
     "kc2spice.rom.intermediate_reduction": "build_intermediate_model",
@@ -232,30 +236,30 @@ NAMES_BY_MODULE = {
     "kc2spice.rom.soft_support": "support_softly",
     "kc2spice.rom.stability": "prove_stability",
     "kc2spice.rom.structural_damping": (
-        "add_structural_damping compute_causal_loss_factor fit_relaxing_stiffness"
+        "add_structural_damping compute_causal_stiffness_factor fit_relaxing_stiffness"
     ),
-    "kc2spice.rom.surrogate": "make_surrogate",
+    "kc2spice.rom.full_model_surrogate": "make_surrogate",
     "kc2spice.rom.time_domain_errors": (
         "ReductionsByOrder compute_time_errors compute_time_response find_last_change"
     ),
     "kc2spice.rom.transient_fit": "StepSamples fit_transient",
-    "kc2spice.scene": "noise_analysis parttype resolve",
+    "kc2spice.scene": "noise_analysis part_method_calls=resolve parttype",
     "kc2spice.scene.catalogue": "find_part read_catalogue search_parts",
     "kc2spice.scene.checks": "Check Gate RunEnergyBalance Verdict require_passed",
     "kc2spice.scene.highest_frequency": "find_highest_frequency",
     "kc2spice.scene.keys": "list_all_keys list_schema_keys",
     "kc2spice.scene.load": "_make_scene load_scene",
     "kc2spice.scene.metrics": "compute_metrics",
-    "kc2spice.scene.model": (
+    "kc2spice.scene.scene_classes": (
         "BuiltScene DeclaredScene GovernedScene JoinedScene PartType WiredScene "
         "compute_scene_hash find_flows"
     ),
     "kc2spice.scene.net_formation": "describe_nets",
     "kc2spice.scene.numerical_settings": "describe_plan find_numerical_settings",
     "kc2spice.scene.part_records": "NeglectedEffect SampledSource",
-    "kc2spice.scene.part_reference": "describe_part_types",
+    "kc2spice.scene.part_type_descriptions": "describe_part_types",
     "kc2spice.scene.parttype": "compute_pin_forces find_part_type list_type_names load_part_types",
-    "kc2spice.scene.resolve": "add_results_and_sources name_subcircuits",
+    "kc2spice.scene.part_method_calls": "add_results_and_sources name_subcircuits",
     "kc2spice.scene.results": "NOISE_WAVE",
     "kc2spice.scene.scene_file": "SceneFile list_gallery",
     "kc2spice.scene.settings": "ProbeKeys RomKeys",
@@ -265,25 +269,29 @@ NAMES_BY_MODULE = {
     "kc2spice.sim.output": "find_failure list_changed_cards read_raw",
     "kc2spice.synthesis": "parameter_ranges ringing_time terminals",
     "kc2spice.synthesis.circuit_error": "estimate_circuit_error require_circuit_tolerance",
-    "kc2spice.synthesis.header": "write_part_header write_rom_comments",
+    "kc2spice.synthesis.library_headers": "write_part_header write_rom_comments",
     "kc2spice.synthesis.parametric_resonators": "parametric_subcircuit",
-    "kc2spice.synthesis.realize": "subcircuit",
-    "kc2spice.workflow": "bench decks reduce_files refine simulation",
+    "kc2spice.synthesis.model_to_subcircuit": "subcircuit",
+    "kc2spice.workflow": (
+        "bench decks reduction_of_models_from_files=reduce_files settings_refinement simulation"
+    ),
     "kc2spice.workflow.decks": "make_deck prepare_deck",
     "kc2spice.workflow.export": "export_scene",
-    "kc2spice.workflow.larger_orders": "suggest_keys",
+    "kc2spice.workflow.larger_reduced_model_orders": "suggest_keys",
     "kc2spice.workflow.method_comparison": "compare_methods",
     "kc2spice.workflow.misfit": "compute_rms_misfit estimate_covariance find_likely_cause",
-    "kc2spice.workflow.models": "build_models find_value_units list_model_values",
-    "kc2spice.workflow.reduce_files": "_load_scene_body export_rom make_example_deck reduce_file",
-    "kc2spice.workflow.refine": "repeat_timing",
+    "kc2spice.workflow.part_models": "build_models find_value_units list_model_values",
+    "kc2spice.workflow.reduction_of_models_from_files": (
+        "_load_scene_body export_rom make_example_deck reduce_file"
+    ),
+    "kc2spice.workflow.settings_refinement": "repeat_timing",
     "kc2spice.workflow.run": "complete_run run_scene",
     "kc2spice.workflow.simulation": "run_simulation simulate_deck",
-    "kc2spice.workflow.sweep": "sweeps",
+    "kc2spice.workflow.sweep": "sweep_execution",
     "kc2spice.workflow.sweep.grid": "make_plan",
     "kc2spice.workflow.sweep.point": "PointResult SceneInput read_scene_text",
     "kc2spice.workflow.sweep.row_store": "RowStore collect_columns write_csv",
-    "kc2spice.workflow.sweep.sweeps": "load_named_sweep make_sweep",
+    "kc2spice.workflow.sweep.sweep_execution": "load_named_sweep make_sweep",
     "kc2spice.workflow.sweep.workers": "make_dask_connector make_local_pool_opener",
     "kc2spice.workflow.time_step": "choose_largest_step",
     "kc2spice.workflow.verdict": "add_undecided_warnings form_verdict",

@@ -46,7 +46,7 @@ def on_files(files: Files, config: Any) -> Files:
 
 def parts_page() -> str:
     """Every part type with its pins, keys and a table that shows it."""
-    from kc2spice.scene.part_reference import describe_part_types
+    from kc2spice.scene.part_type_descriptions import describe_part_types
 
     return "\n".join([
         "# Parts",

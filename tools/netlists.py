@@ -27,6 +27,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import kc2spice
+from kc2spice.core.files import HASHES_FILE
 from kc2spice.netlist import read_lib
 from kc2spice.netlist.card_parser import split_statements
 from kc2spice.netlist.printers.dialect_registry import NGSPICE, list_dialect_names
@@ -37,7 +38,7 @@ from kc2spice.netlist.printers.kicad import (
     make_element_symbols,
 )
 from kc2spice.scene.load import load_scene
-from kc2spice.scene.model import Part, Scene
+from kc2spice.scene.scene_classes import Part, Scene
 from kc2spice.scene.scene_file import list_gallery
 from kc2spice.workflow.export import export_scene
 
@@ -117,7 +118,7 @@ def scene_files(scene: str, out: Path) -> list[Path]:
     """Deck and libraries of a scene, written into ``out``: what ngspice needs of an export."""
     written = export_scene(shipped(scene), out)
     kept = [p for p in written if p.suffix == ".cir" or _is_library(p)]
-    for path in set(written) - set(kept):
+    for path in {*written, out / HASHES_FILE} - set(kept):
         path.unlink()
     return kept
 
@@ -127,6 +128,7 @@ def example_files(scene: str, out: Path) -> None:
     plain = without_sound(load_scene(scene))
     for dialect in filter(NGSPICE.__ne__, list_dialect_names()):
         export_scene(plain, out / dialect, dialect)
+        (out / dialect / HASHES_FILE).unlink()
     with TemporaryDirectory() as place:
         (out / "kicad").mkdir()
         for path in export_scene(plain, Path(place)):

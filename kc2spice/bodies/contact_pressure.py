@@ -1,24 +1,30 @@
-"""Contact pressure on a stack: a port that converges as the mesh is refined.
+"""Contact pressure on a stack; the indentation converges as the mesh is refined.
 
 A force on a circle of mesh nodes is a line load. The indentation under a line load grows without
 bound as the mesh is refined. In this module, contact pressures are sums of basis functions that are
 piecewise linear in the radius (P1). The displacement of a basis function is the average surface
 displacement, weighted with the function. The mesh of the whole stack is too coarse for the basis
 functions of the pressure. The contact port of the whole stack is a patch with the pressure of a
-flat punch. Let S be the static compliance matrix (n, n) between the basis functions. If the force
-is divided among the functions in the shares ``w = S^-1 1 / (1' S^-1 1)``, all functions have the
-same displacement: ``S w = s 1``. The displacement of function i is
+flat punch. Let S be the static compliance matrix (n, n) between the basis functions, and 1 a vector
+of n ones. The shares ``w = S^-1 1 / (1' S^-1 1)`` divide a unit force among the basis functions.
+With the shares w, the displacements S w of all basis functions are equal to ``s = 1 / (1' S^-1
+1)``. The displacement u_i of basis function i depends on the forces F_j of all functions j and on
+the displacement u_patch of the patch::
 
-    u_i = u_patch + sum_j (S - s_patch 1 1')_ij F_j,     F_patch = sum_j F_j,
+    u_i = u_patch + sum_j (S_ij - s_patch) F_j,     F_patch = sum_j F_j.
 
-where S is the compliance of a round stack of the same layers on a graded axisymmetric mesh.
-``s_patch`` is the compliance of the patch on the coarse mesh of the same round stack. The sum over
-j adds the compliance that the coarse mesh does not represent. The displacements of the round stack
-and of the real stack differ by a smooth function of the position, which is nearly equal for all
-basis functions. The port of the patch represents this difference between the two stacks, including
-the dynamics of the difference. ``S - s 1 1'`` is positive semi-definite, because s is the smallest
-compliance of all possible shares. A coarse mesh is too stiff, so ``s_patch`` is smaller than s.
-Therefore, ``S - s_patch 1 1'`` is also positive semi-definite.
+S is computed for a round stack of the same layers on a graded axisymmetric mesh. ``s_patch`` is the
+compliance of the contact patch, computed with a coarse mesh of a round stack that has the layers of
+the real stack. The sum over j adds the compliance that the coarse mesh does not represent. The
+displacements of the round stack and of the real stack differ by a smooth function of the position,
+which is nearly equal for all basis functions. The displacement ``u_patch`` is computed with a
+dynamic model of the real stack, which need not be round. The compliances S and ``s_patch`` are
+computed with static models of a round stack. Therefore, ``u_patch`` contains the difference between
+the displacements of the round stack and of the real stack. The matrix ``S - s * ones(n, n)`` is
+positive semi-definite, because s is the minimum of the compliance ``w' S w`` over all force shares
+w whose sum is 1. A coarse mesh is too stiff, so its patch compliance ``s_patch`` is smaller than
+the compliance s on the graded mesh. Because ``s_patch`` is smaller than s, the matrix
+``S - s_patch * ones(n, n)`` is positive semi-definite as well.
 
 Like residual modes (:mod:`kc2spice.rom.modal_models`), the local compliance has no inertia. The
 inertia of the patch is negligible, because the modes of the patch are above ten megahertz (speed of
@@ -30,19 +36,23 @@ The other contact body may be a free elastic sphere (:class:`TransverselyIsotrop
 same basis functions. The quadrilaterals in the mesh of the sphere are larger at larger distances
 from the lowest point of the sphere (the lower pole). Points in the half disc are ``zeta = r + i
 h``, where h is the height above the lower pole. The conformal map ``zeta = w / (1 - i w / 2R)``
-transforms the quarter plane ``w = 2R (tan x/2 + i tan y/2)`` to the half disc. Lines of constant
-angles x (along the surface) and y (along the axis) cross at right angles everywhere. On the surface
-at the lower pole, the lines of the grid meet the nodes of the basis functions. The upper pole is at
-infinity in the quarter plane. The mesh omits a pit of the radius ``R / 30`` at the upper pole. The
-pit at the upper pole has 1e-5 of the sphere's mass.
+transforms the quarter plane ``w = 2R (tan x/2 + i tan y/2)`` to the half disc. On the surface of
+the sphere, y is zero, and x is the polar angle from the lower pole. On the axis of the sphere, x is
+zero, and y increases with the height h. In the half disc, lines of constant angle x cross lines of
+constant angle y at right angles. On the surface of the sphere, every node of the pressure basis
+functions is also a node of the mesh. The conformal map transforms infinity in the quarter plane w
+to the upper pole of the sphere. The mesh omits a pit of the radius ``R / 30`` at the upper pole.
+Omission of the pit at the upper pole reduces the sphere's mass by the fraction 1e-5.
 
 Displacements of the sphere are relative to its centre of mass. The rigid translation of the sphere
 along the axis is the vector t (n,), and its mass is ``m = t' M t``. Inertia forces that balance the
 loads B of the ports are added to these loads: ``B - M t t' B / m``. Therefore, forces at the ports
-do not move the centre of mass. K would be singular for the rigid translation. A spring ``(M t) (M
-t)' w^2 / m`` makes K definite; the spring is represented by an unknown that is eliminated. No port
-force deforms this spring, and no output contains its deformation. A uniform force on the sphere,
-such as weight, has no effect.
+do not move the centre of mass. The stiffness matrix K of an unsupported sphere is singular, because
+a rigid translation t deforms nothing: ``K t = 0``. A spring with the stiffness matrix ``(M t) (M
+t)' w^2 / m`` resists the rigid translation t and makes K definite. An additional unknown of the
+sphere's model represents this spring, and elimination of the unknown adds the spring's stiffness to
+K. No port force deforms this spring, and no output contains its deformation. A uniform force on the
+sphere, such as weight, has no effect.
 """
 
 from __future__ import annotations
@@ -56,7 +66,7 @@ from skfem import LinearForm
 from skfem.mesh import MeshQuad, MeshQuad2
 
 from kc2spice.bodies.fields import FieldProbe, compute_largest_principal_stress
-from kc2spice.bodies.mesh_estimate import estimate_mesh_errors
+from kc2spice.bodies.mesh_error_estimate import estimate_mesh_errors
 from kc2spice.bodies.solid_models import BoundaryConditions, PortLoad, make_undamped_model
 from kc2spice.bodies.stack import make_layer_materials, make_stack_setup
 from kc2spice.bodies.stack_keys import PATCH_PORT, StackKeys
@@ -75,7 +85,7 @@ CELL_GROWTH = 1.3  # ratio of successive cell sizes outside of the contact
 EVEN_RADIUS_RATIO = 0.2
 # largest contact radius of a force law, relative to the radius of the patch
 MAX_CONTACT_RATIO = 0.5
-# number of basis functions within the smallest contact radius to which the force law is fitted
+# The force law is fitted to contact radii that contain at least this number of basis functions.
 MIN_FUNCTIONS = 5
 LAW_DEGREE = 5  # degree of the force law's polynomial in the contact radius
 FIT_DEPTHS = 300  # number of indentations to which the force law is fitted
@@ -107,19 +117,20 @@ class PressureBasis(EqualByContent):
 
     @property
     def mean_gap_radii(self) -> np.ndarray:
-        """Root-mean-square radius [m] of each pressure basis function.
+        """Radii [m] at which the gap equals its mean over each pressure basis function.
 
-        The basis function is the weight of ``r^2`` in the mean. The gap below a paraboloid is
-        proportional to ``r^2``. Therefore, the gap at the returned radius is the mean gap, weighted
-        with the basis function.
+        The mean of ``r^2`` over the plane of contact is weighted with the basis function. The gap
+        below a paraboloid is proportional to ``r^2``. Therefore, the gap at the returned radius is
+        the mean gap, weighted with the basis function.
         """
         return np.asarray(np.sqrt(self._integrate_powers(2) / self._integrate_powers(0)))
 
     def compute_pressure(self, shares: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the pressures of a unit force, given each basis function's share of it.
+        """Return node radii, and the contact pressure at each node under a unit force.
 
-        ``shares`` contains the share of the force of each function. The first array contains the
-        radii [m] of the nodes, and the second array the pressures [1/m^2] at these nodes.
+        ``shares`` contains the fraction of the total force that each basis function carries. The
+        first array contains the radii [m] of the nodes, and the second array the pressures [1/m^2]
+        at these nodes.
         """
         return self.nodes, np.append(shares / self.areas, 0.0)
 
@@ -135,11 +146,12 @@ class PressureBasis(EqualByContent):
 
 
 def choose_pressure_basis(spacing: float, patch: float) -> PressureBasis:
-    """Choose the radii of the nodes of a pressure basis on a circular patch.
+    """Choose the node radii of a pressure basis on a circular contact patch.
 
-    Near the axis, the distance between two nodes is ``spacing`` [m]. Beyond a fifth of the patch
-    radius, the distance between two nodes is proportional to the radius. With these distances, each
-    basis function has a similar share of the force of a sphere.
+    Near the axis, the distance between two nodes is ``spacing`` [m]. Farther than a fifth of the
+    patch radius from the axis, the distance between two nodes is proportional to their distance
+    from the axis. As the node spacing grows with the distance from the axis, each basis function
+    carries a similar share of the contact force of a sphere.
     """
     nodes = [0.0]
     while (
@@ -152,7 +164,7 @@ def choose_pressure_basis(spacing: float, patch: float) -> PressureBasis:
 
 @dataclass(frozen=True, eq=False)
 class LocalCompliance(EqualByContent):
-    """Compliance of pressure basis functions, in addition to that of the whole patch.
+    """Local compliance of a contact: matrix in a pressure basis, and patch compliance.
 
     ``compliance`` (n, n) [m/N] is the additional compliance matrix of the basis functions.
     ``patch`` [m/N] is the compliance of the patch.
@@ -163,16 +175,17 @@ class LocalCompliance(EqualByContent):
 
     @property
     def rigid_force_shares(self) -> np.ndarray:
-        """Share of each basis function in a force that displaces all functions equally.
+        """Share of each basis function in the force of a rigid flat punch.
 
-        The returned array of n shares has the shape (n,).
+        The punch displaces the surface equally under all basis functions. The returned array of n
+        shares has the shape (n,).
         """
         result = np.linalg.solve(self.compliance + self.patch, np.ones(len(self.compliance)))
         return np.asarray(result / result.sum())
 
 
 def compute_local_compliance(chip: StackKeys, shape: PressureBasis) -> LocalCompliance:
-    """Compute the local compliance of the basis functions on the top of a stack.
+    """Compute the local compliance of a stack's top face in a pressure basis.
 
     The compliance of the whole patch is computed on the coarse mesh.
 
@@ -196,11 +209,11 @@ def compute_local_compliance(chip: StackKeys, shape: PressureBasis) -> LocalComp
     lowest = float(np.linalg.eigvalsh(S - coarse)[0])
     if lowest < 0:
         raise SimulationError(
-            "the mesh of the stack is too coarse under the contact pressure",
+            "the local compliance of the contact is negative: the mesh of the stack is too coarse",
             where="contact.shape",
-            got=f"compliance added by the refinement: {lowest:.3g} m/N",
-            expected="above 0",
-            hint="raise mesh.sectors of the stack, or lower spacing of the contact",
+            got=f"a local compliance of {lowest:.3g} m/N",
+            expected="a local compliance above 0 m/N",
+            hint="raise `mesh.sectors` of the stack, or lower `spacing` of the contact",
         )
     return LocalCompliance(S - coarse, coarse)
 
@@ -259,9 +272,9 @@ def compute_stresses_under_force(
 def _model_stack(chip: StackKeys, shape: PressureBasis, cells: int) -> FiniteElementModel:
     """Model the layers as a round stack with one port for each pressure function.
 
-    Each pressure basis function acts on one port. The support below the stack is frictionless. The
-    quadrilaterals of the mesh grow with the distance from the basis functions. Every face of a
-    layer is a line of the mesh.
+    Each pressure basis function acts on one port. The support below the stack is frictionless.
+    Quadrilaterals of the mesh are larger at larger distances from the loaded area, which is the
+    centre of the top face. Every face of a layer is a line of the mesh.
     """
     ends = [cap.thickness if cap else 0.0 for cap in (chip.bottom_cap, chip.top_cap)]
     caps = [int(end > 0) for end in ends]
@@ -307,8 +320,9 @@ def _make_basis_ports(shape: PressureBasis) -> list[Port]:
 def _compute_basis_loads(solid: Solid, shape: PressureBasis, facets: np.ndarray) -> np.ndarray:
     """Return the nodal loads of a unit axial force for each basis function.
 
-    The force per projected horizontal area of the facets is proportional to the basis function.
-    The nodal loads of the n basis functions are an array of shape (2 nodes, n).
+    The force per projected horizontal area of the facets is proportional to the basis function. The
+    returned array has the shape (2 * nodes, n), with a radial and an axial row for each node, and a
+    column for each of the n basis functions.
     """
     basis = solid.make_facet_basis(facets, 5)
 
@@ -332,9 +346,9 @@ def _subdivide_intervals(points: np.ndarray, count: int) -> np.ndarray:
 
 
 def _make_growing_grid(start: float, end: float, step: float) -> np.ndarray:
-    """Return points from ``start`` to ``end`` at increasing distances.
+    """Return points from ``start`` to ``end`` whose spacing increases.
 
-    The first distance is :data:`CELL_GROWTH` times ``step``.
+    The first spacing is :data:`CELL_GROWTH` times ``step``.
     """
     points = [start]
     while points[-1] + 1.5 * (step := CELL_GROWTH * step) < end:
@@ -364,16 +378,18 @@ class IndentationLaw:
 def fit_indentation_law(
     shape: PressureBasis, compliance: np.ndarray, gap: np.ndarray
 ) -> IndentationLaw:
-    """Fit the force law of a sphere that is pressed on a surface with basis functions.
+    """Fit a contact force law: force on a sphere as a function of its indentation.
 
-    ``compliance`` (n, n) [m/N] is the compliance matrix of the functions, and ``gap`` (n,) [m] is
-    the initial gap between each function and the sphere. The basis functions come into contact one
-    after another, so that the force is a piecewise linear function of the indentation with n
-    pieces. The relative error of the piecewise linear force is at most a quarter of (spacing /
-    contact radius)^2. The work ``J = int F dx`` is a minimum over all pressures. The error of J is
-    therefore proportional to the squared errors of the pressures. A polynomial is fitted to J at
-    contact radii within which there are at least :data:`MIN_FUNCTIONS` basis functions. The force
-    law is the derivative of the fitted polynomial.
+    The contact pressure is a sum of basis functions that depend on the radius. ``compliance`` (n,
+    n) [m/N] is the compliance matrix of the basis functions, and ``gap`` (n,) [m] is the initial
+    gap between each basis function and the sphere. The basis functions come into contact one after
+    another, so that the force is a piecewise linear function of the indentation with n pieces. The
+    relative error of the piecewise linear force is at most a quarter of (spacing / contact
+    radius)^2. The work ``J = int F dx`` is the maximum of ``p'(x - gap) - p'S p / 2`` over all
+    forces ``p >= 0`` of the basis functions, with the indentation x and the compliance S. The error
+    of J is therefore proportional to the squared errors of the forces p. A polynomial is fitted to
+    J at contact radii within which there are at least :data:`MIN_FUNCTIONS` basis functions. The
+    force law is the derivative of the fitted polynomial.
     """
     spacing, widest = shape.nodes[1], MAX_CONTACT_RATIO * shape.nodes[-1]
     # in Hertz's solution, the pressure at this radius is half of the largest pressure
@@ -389,7 +405,7 @@ def fit_indentation_law(
 
 
 def solve_contact_forces(compliance: np.ndarray, gap: np.ndarray, depth: np.ndarray) -> np.ndarray:
-    """Compute the forces of a sphere on all basis functions at several indentations.
+    """Compute a sphere's contact forces, one per basis function, at each indentation.
 
     ``depth`` [m] contains the indentations x. Return the forces f [N], an array of shape (depths,
     n). The compliance matrix is S, and ``g = x - gap`` is the overlap of sphere and surface. The
@@ -455,7 +471,7 @@ def make_sphere_model(
 def compute_sphere_compliance(
     body: TransverselyIsotropicSphere, shape: PressureBasis, refine: int = 1
 ) -> LocalCompliance:
-    """Compute the compliance of a sphere for each basis function and for the patch."""
+    """Compute the compliance of a sphere to pressures on its circular contact patch."""
     S = _compute_port_compliance(_make_free_sphere_model(body, shape, refine).model)
     patch = float(1 / np.linalg.solve(S, np.ones(len(S))).sum())
     return LocalCompliance(S - patch, patch)
@@ -478,7 +494,8 @@ def _make_free_sphere_model(
     zeta = 2 * radius * w / (1 - 1j * w)
     mesh = MeshQuad2(np.ascontiguousarray([zeta.real, zeta.imag]), mesh.t)
     solid = Solid(mesh, (body.material,), np.zeros(mesh.nelements, int), axisymmetric=True)
-    r, h = mesh.p[:, mesh.facets]  # facets on the sphere within the patch around the lower pole
+    # ``under`` marks the facets of the sphere's surface within the contact patch at the lower pole.
+    r, h = mesh.p[:, mesh.facets]
     under = np.abs(np.hypot(r, h - radius) - radius).max(axis=0) < 1e-9 * radius
     under &= (r.max(axis=0) < (1 + 1e-9) * shape.nodes[-1]) & (h.max(axis=0) < radius)
     free = np.ones((solid.node_positions.shape[1], 2), dtype=bool)

@@ -10,11 +10,11 @@ correction e_p of the response to a force, the corrections of capacitance, strok
 
 All corrections are computed in one low-dimensional space (Galerkin, Rayleigh-Ritz). The corrected
 frequency of a mode is the frequency of the eigenvector in this space that is nearest to the mode.
-In each round, solutions for the residuals extend the low-dimensional space. One solution contains
-only the additional functions, and the next solution only the unknowns of the mesh. If a support or
-electrode fixes all nodes of an edge or face, it also fixes the additional functions of this edge or
-face. Loads on the additional functions are neglected. Sources: R. E. Bank and R. K. Smith, SIAM J.
-Numer. Anal. 30 (1993) 921; R. Becker and R. Rannacher, Acta Numerica 10 (2001) 1.
+In each round, solutions for the residuals extend the low-dimensional space. Each round solves first
+for the coefficients of the cubic functions alone, and then for the unknowns of the mesh alone. If a
+support or electrode fixes all nodes of an edge or face, it also fixes the cubic functions of this
+edge or face. Loads on the cubic functions are neglected. Sources: R. E. Bank and R. K. Smith, SIAM
+J. Numer. Anal. 30 (1993) 921; R. Becker and R. Rannacher, Acta Numerica 10 (2001) 1.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from kc2spice.fem.enrichment import (
     assemble_enrichment,
     make_enrichment,
 )
-from kc2spice.linalg.factor import Factor, factorise
+from kc2spice.linalg.factor import Factor, factorise, make_indefinite_error
 from kc2spice.rom.pencil import SchurComplement
 
 # Largest number of rounds of the iteration. Each round first computes corrections with the
@@ -106,10 +106,10 @@ def correct_responses(
 
 
 class BlockMatrix(NamedTuple):
-    """Matrix of 2 x 2 sparse blocks: mesh unknowns and additional functions.
+    """Matrix of 2 x 2 sparse blocks: mesh unknowns and additional shape functions.
 
     The first rows and columns of the matrix are for the unknowns of the mesh. The last rows and
-    columns of the matrix are for the unknowns of the additional functions.
+    columns of the matrix are for the coefficients of the additional shape functions.
     """
 
     mesh: sparse.sparray
@@ -134,8 +134,8 @@ class EnrichedModel:
 
     The docstring of the module defines the matrices K, C and P. M is the mass matrix.
 
-    ``operators`` are the matrices of the additional functions. ``factors`` are the factorised
-    blocks of K and P of the additional functions; a factor is None if its block is empty. The
+    ``operators`` are the matrices of the additional shape functions. ``factors`` are the factorised
+    blocks of K and P of the additional shape functions; a factor is None if its block is empty. The
     function ``solve_shifted`` multiplies by ``(K + shift M)^-1`` of the mesh.
     """
 
@@ -149,13 +149,14 @@ class EnrichedModel:
     solve_shifted: Callable[[np.ndarray], np.ndarray]
 
     def extend_responses(self, z: np.ndarray, voltages: np.ndarray) -> tuple[Pair, Pair]:
-        """Extend mesh responses by zeros for the additional functions; return residuals.
+        """Extend responses by zeros for added shape functions; return equation residuals.
 
-        The additional functions have the value zero in the extended responses. ``z`` of shape (n,
-        k) contains the responses of the mesh under the ``voltages`` of shape (e, k). Return two
-        pairs of arrays with k columns. The first pair of arrays contains the displacements and
-        potentials of the responses; its rows for the additional functions are zero. The second pair
-        of arrays contains the residuals of the equations of displacements and potentials.
+        The additional shape functions have the coefficient zero in the extended responses. ``z`` of
+        shape (n, k) contains the responses of the mesh under the ``voltages`` of shape (e, k).
+        Return two pairs of arrays with k columns. The first pair of arrays contains the
+        displacements and potentials of the responses; its rows for the additional shape functions
+        are zero. The second pair of arrays contains the residuals of the equations of displacements
+        and potentials.
         """
         K, lift = self.device.model.K, self.device.lift @ voltages
         p = np.zeros((self.P.mesh.shape[0], z.shape[1]))
@@ -170,10 +171,7 @@ class EnrichedModel:
         return shapes, (np.vstack([0.0 * z, r_u]), np.vstack([0.0 * p, r_p]))
 
     def solve_functions(self, residual: Pair) -> Pair:
-        """Solve for the coefficients of the additional functions; mesh unknowns are zero.
-
-        All unknowns of the mesh are zero.
-        """
+        """Solve for coefficients of additional shape functions; the mesh unknowns are 0."""
         (z, r_u), (q, r_p) = self._split_blocks(residual)
         (of_u, of_p), C = self.factors, self.operators.C
         u, p = of_u.solve(r_u) if of_u else r_u, r_p
@@ -183,10 +181,7 @@ class EnrichedModel:
         return np.vstack([0.0 * z, u]), np.vstack([0.0 * q, p])
 
     def solve_mesh(self, residual: Pair) -> Pair:
-        """Solve for the unknowns of the mesh; the additional functions are zero.
-
-        All unknowns of the additional functions are zero.
-        """
+        """Solve for the mesh unknowns; coefficients of additional shape functions are 0."""
         ((z, more_u), (q, more_p)), K = self._split_blocks(residual), self.device.model.K
         if isinstance(K, SchurComplement):
             q = K.inner_factor.solve(q)
@@ -216,7 +211,10 @@ def enrich_model(
     more = assemble_enrichment(enrichment, *_find_free_functions(device, enrichment)).scale(sectors)
     K, C, P = _get_mesh_blocks(model.K)
     to_u, to_phi = device.displacement, device.potential
-    if to_phi.shape[1] != P.shape[0]:  # not all eliminated unknowns are potentials
+    # The auxiliary unknown that is eliminated from a free sphere's model is not an electric
+    # potential.
+    # Therefore, the matrix from the auxiliary unknown to the nodal potentials is zero.
+    if to_phi.shape[1] != P.shape[0]:
         to_phi = sparse.csc_array((to_phi.shape[0], P.shape[0]))
     k, m, p = more.K_nodes @ to_u, more.M_nodes @ to_u, more.P_nodes @ to_phi
     return EnrichedModel(
@@ -335,7 +333,7 @@ class _CorrectionSpace:
         if not self.modes.size:
             return np.zeros(0), (self.u.T[:, :0], self.p.T[:, :0])
         C, P = self.u.T @ self.Cp, self.p.T @ self.Pp
-        X = _solve_definite(P, C.T)
+        X = solve_definite(P, C.T)
         K, M = self.u.T @ self.Ku + C @ X, self.u.T @ self.Mu
         values, vectors = linalg.eigh((K + K.T) / 2, (M + M.T) / 2)
         overlap = np.abs(vectors.T @ (self.Mu.T @ self.modes))
@@ -352,9 +350,9 @@ class _CorrectionSpace:
         elastic = self.u[:, self.rigid :]
         r_u, r_p = elastic.T @ loads[0], self.p.T @ loads[1]
         C, P = elastic.T @ self.Cp, self.p.T @ self.Pp
-        X, y = _solve_definite(P, C.T), _solve_definite(P, r_p)
+        X, y = solve_definite(P, C.T), solve_definite(P, r_p)
         K = elastic.T @ self.Ku[:, self.rigid :] + C @ X
-        u = _solve_definite(K, r_u + C @ y)
+        u = solve_definite(K, r_u + C @ y)
         return np.vstack([np.zeros((self.rigid, u.shape[1])), u]), X @ u - y
 
     def compute_corrections(self, eigenvalues: np.ndarray, loads: Pair) -> Corrections:
@@ -382,11 +380,23 @@ class _CorrectionSpace:
         )  # fmt: skip
 
 
-def _solve_definite(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Solve a linear system with a symmetric positive definite matrix."""
+_UNITS_HINT = "check the units of the materials: the constants of one material differ too much"
+
+
+def solve_definite(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Solve a linear system with a symmetric positive definite matrix.
+
+    Raises
+    ------
+    SimulationError : the matrix is not positive definite.
+    """
     if not matrix.size:
         return right
-    return np.asarray(linalg.cho_solve(linalg.cho_factor((matrix + matrix.T) / 2), right))
+    try:
+        factor = linalg.cho_factor((matrix + matrix.T) / 2)
+    except linalg.LinAlgError as error:
+        raise make_indefinite_error(str(error), _UNITS_HINT) from error
+    return np.asarray(linalg.cho_solve(factor, right))
 
 
 def _orthonormalise(basis: np.ndarray, columns: np.ndarray) -> np.ndarray:

@@ -1,11 +1,16 @@
 """Finite-element models of heat in solids, with pins for heat and temperatures.
 
-The unknowns z are temperature rises above the ambient temperature. Each free node, each isothermal
-face, and the fluid outside each film with a pin has one unknown. The nodal temperature rises are
-``T = P z``. With the matrices of :mod:`kc2spice.fem.heat_conduction`, the model is
+The unknowns z are temperature rises above the ambient temperature. One unknown belongs to each free
+node and to each isothermal face. If a film has a pin, the temperature of the fluid outside of the
+film is also an unknown. The nodal temperature rises are ``T = P z``. Film f has the heat transfer
+coefficient h_f, and H_f is the matrix of its faces. For interface i, r_i [m^2 K/W] is the product
+of thermal resistance and area, and J_i is the matrix of temperature jumps. The matrices are
+assembled in :mod:`kc2spice.fem.heat_conduction`. The equations of the model are::
 
-    E = P'E_solid P,    K = P'(K_solid + sum_f h_f H_f + sum_i J_i / r_i) P + films with pins,
-    E z' + K z = B q,   y = B' z.
+    E z' + K z = B q,   y = B' z,
+    E = P'E_solid P,    K = P'(K_solid + sum_f h_f H_f + sum_i J_i / r_i) P.
+
+For each film with a pin, E and K also have a row and a column for the temperature of the fluid.
 
 A heat source distributes its heat flow q evenly over a group of elements or facets. The temperature
 at the pin of the source is the mean temperature of this group of elements or facets. E and K are
@@ -22,7 +27,7 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from kc2spice.core.errors import wrong
-from kc2spice.core.mesh_error import MESH_ERROR_PREFIX
+from kc2spice.core.mesh_error_descriptions import MESH_ERROR_PREFIX, MESH_LIMIT_NAME
 from kc2spice.fem.heat_conduction import (
     HeatSolid,
     assemble_faces,
@@ -34,8 +39,6 @@ from kc2spice.fem.solid import sum_matrices
 from kc2spice.rom.linear_model import LinearModel, Port
 
 HEAT_CAPACITY_NAME = "heat_capacity_j_per_k"  # name of the total heat capacity in `facts`
-# name in `facts` of the highest frequency that the mesh resolves
-MESH_LIMIT_NAME = "mesh_limit_hz"
 # Ratio of estimated error (from recovered heat flows) to true error of a thermal resistance.
 # Comparison with much finer meshes yields the ratio 0.32 for uniform heat flow into a disc, and
 # 0.42 for an isothermal disc.

@@ -185,8 +185,9 @@ def _fit_circuit(f: np.ndarray, Y: np.ndarray) -> BVD:
 
         Y (1 + a s + b s^2) = s C + (s C0 + s^2 g)(1 + a s + b s^2).
 
-    The term with g represents the loss of the dielectric and of higher modes. The
-    Butterworth-Van Dyke circuit does not contain this loss.
+    The term with g represents the loss of the dielectric and of higher modes. The returned circuit
+    omits g, because a Butterworth-Van Dyke circuit contains no loss of the dielectric or of higher
+    modes.
     """
     unit, size = float(np.mean(f)), float(np.max(np.abs(Y)))
     s, y = 1j * f / unit, Y / size
@@ -203,7 +204,9 @@ def _fit_circuit(f: np.ndarray, Y: np.ndarray) -> BVD:
         raise wrong(
             None,
             "the samples do not match a resonance in parallel with a capacitor",
-            got=f"C0 {c0:g}, C {cm:g}, R C {a:g}, L C {b:g} (scaled)",
+            got=f"a fitted circuit with C0 = {c0:g}, C = {cm:g}, R*C = {a:g} and L*C = {b:g} in "
+            "normalised units",
+            expected="a fitted circuit in which these four values are positive",
             hint="take more samples between resonance and antiresonance",
         )
     scale = 1 / (2 * math.pi * unit)

@@ -18,8 +18,8 @@ eliminates p exactly from these equations.
 of blocks are parallel to the axes; in a body of revolution, blocks are rectangles in the plane
 (radius, height). All blocks are meshed by one grid of quadratic quadrilaterals or hexahedra. Every
 edge of a block, an electrode, a support or a port is a line of the grid. Only piezoelectric blocks
-have a potential. Conductors and electrodes are equipotentials. Insulators that are not
-piezoelectric have no electric field (:mod:`kc2spice.fem.solid`).
+have a potential. Conductors and electrodes are equipotentials. The model neglects the electric
+field in insulators that are not piezoelectric (:mod:`kc2spice.fem.solid`).
 """
 
 from __future__ import annotations
@@ -35,10 +35,11 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 from skfem.mesh import MeshHex, MeshQuad
 
-from kc2spice.bodies.mesh_estimate import estimate_mesh_errors
+from kc2spice.bodies.mesh_error_estimate import estimate_mesh_errors
 from kc2spice.bodies.undamped_models import FiniteElementModel, compute_undamped_responses
 from kc2spice.core.domains import ACCELERATION, ACOUSTIC, BASE, ELECTRICAL, TRANSLATION
 from kc2spice.core.errors import UsageError, name_part_in_errors, wrong
+from kc2spice.core.mesh_error_descriptions import MESH_LIMIT_NAME
 from kc2spice.core.progress import StepTimer
 from kc2spice.fem.body_keys import DampingKeys
 from kc2spice.fem.materials import Material
@@ -48,6 +49,7 @@ from kc2spice.fem.solid import (
     compute_area,
     compute_node_shares,
     compute_volume_gradient,
+    find_mesh_frequency_limit,
 )
 from kc2spice.linalg.factor import require_memory_for_factors
 from kc2spice.rom.linear_model import LinearModel, Port, make_piezoelectric_model
@@ -66,8 +68,8 @@ FREE_STEPS = ("assembly", 1.0), ("static responses and resonances", 11.0), ("mes
 class PortLoad:
     """Unit load of a force or pressure port: the port and the nodal forces.
 
-    ``weights`` (d nodes,) are the nodal forces of a unit load. ``facets`` are the facets on which a
-    pressure acts.
+    ``weights`` (d * nodes,) contains the nodal forces of a unit load, with d components per node.
+    ``facets`` are the facets on which a pressure acts.
     """
 
     port: Port
@@ -108,7 +110,7 @@ class BoundaryConditions:
 
     Attributes
     ----------
-    fixed : mask (d nodes,) of the displacements that are zero.
+    fixed : mask (d * nodes,) of the displacements that are zero, with d components per node.
     electrodes : nodes of each electrode, keyed by its pin; all voltages are relative to the pin
         ``reference``.
     floating : nodes of each floating electrode; such an electrode has one potential, no net charge
@@ -120,7 +122,8 @@ class BoundaryConditions:
         of each node. Nodes have fractions of the voltage if planes of electrodes lie inside
         elements.
     lumped : additional mass [kg] at each node, an array of shape (nodes,).
-    springs : additional stiffness matrix [N/m] of shape (d nodes, d nodes).
+    springs : additional stiffness matrix [N/m] of shape (d * nodes, d * nodes), with d
+        displacements per node.
     sectors : number of equal solids that move identically. One of the ``sectors`` solids is meshed,
         and the model represents all ``sectors`` solids.
     damping : damping of the solid.
@@ -161,6 +164,7 @@ def make_damped_model(solid: Solid, setup: BoundaryConditions) -> FiniteElementM
     timer.begin_step(1, steps)
     unknowns = bare.displacement.shape[1] + bare.potential.shape[1]
     facts = {"unknowns": unknowns, "mass_kg": bare.mass}
+    facts[MESH_LIMIT_NAME] = find_mesh_frequency_limit(solid)
     facts |= {} if volts is None else {"depoling_voltage_v": volts}
     facts |= {
         get_area_key(port): compute_area(solid, facets) for port, facets in bare.faces.items()
@@ -298,7 +302,7 @@ def _add_damping(
         return beta * (P.T @ (setup.sectors * K_uu) @ P)
 
     # The first damping term damps the whole body with the smallest factor beta of all materials.
-    # Further damping terms add the remaining damping of each material.
+    # A further damping term for each material adds the excess of its beta over the smallest beta.
     # With this choice of the first term, E and K have the same rounding errors in the first mode.
     least = min(loss)
     E = damping.alpha * model.M + assemble_damping_term(least)
@@ -309,10 +313,10 @@ def _add_damping(
 
 
 def spread_force(shares: np.ndarray, axis: np.ndarray, solid: Solid) -> np.ndarray:
-    """Distribute a unit force along ``axis`` over the nodes, by their shares.
+    """Spread a unit force along ``axis`` over nodes; ``shares`` are their fractions.
 
-    The returned array has the shape (d nodes,). ``shares`` is the share of the force at each node,
-    an array of shape (nodes,).
+    The returned array has the shape (d * nodes,), with d force components per node. ``shares`` is
+    the share of the force at each node, an array of shape (nodes,).
     """
     return np.outer(shares, axis[solid.axis_indices]).ravel()
 
@@ -320,7 +324,7 @@ def spread_force(shares: np.ndarray, axis: np.ndarray, solid: Solid) -> np.ndarr
 def compute_rigid_translation(solid: Solid, axis: np.ndarray) -> np.ndarray:
     """Return the nodal displacements of a rigid translation by the vector ``axis``.
 
-    The returned array has the shape (d nodes,).
+    The returned array has the shape (d * nodes,), with d displacements per node.
     """
     return spread_force(np.ones(solid.node_positions.shape[1]), np.asarray(axis, float), solid)
 
@@ -328,8 +332,9 @@ def compute_rigid_translation(solid: Solid, axis: np.ndarray) -> np.ndarray:
 def compute_rigid_body_modes(solid: Solid, centre: np.ndarray) -> np.ndarray:
     """Return the nodal displacements of three translations and three rotations.
 
-    The rotations are about ``centre``. The returned array has the shape (d nodes, 6). For a body of
-    revolution, the array has only one column, for the translation along the axis.
+    The rotations are about ``centre``. The returned array has the shape (d * nodes, 6), with d
+    displacements per node. For a body of revolution, the array has only one column, for the
+    translation along the axis.
     """
     if solid.axisymmetric:
         return compute_rigid_translation(solid, UP)[:, None]
@@ -376,9 +381,9 @@ def _constrain_displacements(
 def _constrain_potentials(
     K_pp: sparse.csc_array, setup: BoundaryConditions
 ) -> tuple[sparse.csc_array, sparse.csc_array, list[Port]]:
-    """Return the maps from unknowns and voltages to potentials, and electrical ports.
+    """Return the matrices that constrain all potentials, and the electrical ports.
 
-    The maps are the matrices ``Q`` and ``R`` of ``phi = Q p + R V``.
+    The matrices ``Q`` and ``R`` map unknowns p and voltages V to potentials, ``phi = Q p + R V``.
     """
     live = K_pp.diagonal() > 0
     times_driven = np.zeros(len(live), int)
@@ -435,7 +440,7 @@ def _choose_shift(solid: Solid, setup: BoundaryConditions) -> float:
     )
     if _is_supported(solid, constrained, _find_pieces(solid, setup)):
         return 0.0
-    slowest = min(np.sqrt(np.linalg.eigvalsh(m.C)[0] / m.density) for m in solid.materials)
+    slowest = min(material.slowest_wave_speed for material in solid.materials)
     size = np.linalg.norm(np.ptp(solid.mesh.p, axis=1))
     return float((FREE_SHIFT_RATIO * slowest / size) ** 2)
 
@@ -458,8 +463,8 @@ def _find_pieces(solid: Solid, setup: BoundaryConditions) -> list[np.ndarray]:
 def _is_supported(solid: Solid, fixed: np.ndarray, pieces: Sequence[np.ndarray]) -> bool:
     """Return whether the ``fixed`` displacements prevent all rigid-body modes.
 
-    ``fixed`` is a mask of shape (d nodes,). ``pieces`` contains the nodes of each piece. A
-    supported piece also supports other pieces at their common nodes.
+    ``fixed`` is a mask of shape (d * nodes,), with d displacements per node. ``pieces`` contains
+    the nodes of each piece. A supported piece also supports other pieces at their common nodes.
     """
     constrained, waiting = fixed.copy(), list(pieces)
     while waiting:
@@ -621,11 +626,11 @@ class BondedBlocks:
                 raise wrong(
                     self.where,
                     (
-                        "the order of the edges of the body changes within the ranges of "
-                        "the parameters"
+                        "within the ranges of the parameters, an edge of a layer, electrode or "
+                        "support moves past another edge"
                     ),
-                    expected="ranges within which the order of the edges is constant",
-                    hint="narrow the ranges",
+                    expected="ranges within which no edge moves past another edge",
+                    hint="narrow the ranges of the parameters",
                 )
             counts = np.ceil(np.diff(counted) / model.size - 1e-9).astype(int)
             cut = [

@@ -107,16 +107,17 @@ class ChipDamping(DampingKeys):
     at: Frequency | tuple[Frequency, Frequency] | None = Field(
         250e3,
         description=(
-            "Frequency at which the damping ratio of the chip applies, or two frequencies "
+            "Frequency at which the damping ratio of the stack applies, or two frequencies "
             "for two damping ratios"
         ),
     )
 
     @property
     def beta(self) -> float:
-        """Stiffness coefficient ``beta`` [s] of the chip's Rayleigh damping.
+        """Stiffness coefficient ``beta`` [s] of a piezoelectric chip's Rayleigh damping.
 
-        The damping ratio is ``zeta = beta omega / 2`` at ``omega = 2 pi at``.
+        At the frequency ``at``, the damping ratio is ``zeta = beta omega / 2`` with the angular
+        frequency omega.
         """
         return self.compute_rayleigh_factors(0.0)[1]
 
@@ -130,8 +131,8 @@ class Cap(Section):
     thickness: Thickness = Field(
         gt=0,
         description=(
-            "Thickness of an inactive layer, without electric field, at the bottom or top of "
-            "the stack"
+            "Thickness of one inactive layer, without electric field: the bottom layer of the "
+            "stack in `bottom_cap`, the top layer in `top_cap`"
         ),
     )
     material: str | dict[str, Any] | None = Field(
@@ -161,8 +162,8 @@ class StackKeys(Section):
     The cross-section of the stack is a square with the side ``side``, a rectangle ``side`` (x)
     times ``depth`` (y), or a circle with the ``diameter``. ``height`` is the height of the active
     layers. If ``layer_thickness`` is given, the height is ``layers`` times ``layer_thickness``. The
-    electric field is along z. A stack that is poled along z becomes longer. A stack that is poled
-    along x shears, and its rings move along x.
+    electric field is along z. A positive voltage lengthens a stack that is poled along z. A voltage
+    shears a stack that is poled along x, so its contact rings move along x.
     """
 
     side: Width = Field(3e-3, gt=0, description="Width of a rectangular stack along x")
@@ -230,11 +231,12 @@ class StackKeys(Section):
 
     @model_validator(mode="after")
     def _require_consistent_keys(self) -> StackKeys:
+        """Reject contradictory keys of a stack."""
         if self.diameter is not None and {"side", "depth"} & self.model_fields_set:
             raise make_invalid_value_error(
-                "the size of the chip is missing: write diameter, or side and depth",
+                "the stack has two sizes: the key `diameter`, and the key `side` or `depth`",
                 None,
-                hint="delete side and depth, or delete diameter",
+                hint="delete the keys `side` and `depth`, or delete the key `diameter`",
             )
         if self.layer_thickness is not None:
             height = self.layers * self.layer_thickness
@@ -242,7 +244,7 @@ class StackKeys(Section):
                 raise make_invalid_value_error(
                     "write height or layer_thickness, not both: height = layers * layer_thickness",
                     None,
-                    hint="delete height",
+                    hint="delete the key `height`",
                 )
         outermost, half = self.mesh.rings * self.mesh.ring_spacing, min(self.half_widths)
         if outermost > half * (1 - 1e-6):

@@ -66,13 +66,14 @@ PARAMETERS = {
     "model": typer.Argument(
         metavar="MODEL",
         help=(
-            "Model to reduce: SCENE:PART for a body of a scene, or the name of a file. "
-            "Matrices: a .npz or .mat file, or NAME for the Matrix Market or "
-            "Harwell-Boeing files NAME.M, .E, .K, .B and .C (first order: NAME.A, .B, .C, "
-            ".D and .E). Other programs: a file of Abaqus, CalculiX, Nastran or Ansys. "
-            "Measurements: a frequency response (.s1p, .s2p, .csv, .txt, .zma, .mat), or "
-            "a table of a thermal transient. The file NAME.toml in the same folder states "
-            "ports, units and band."
+            "Model to reduce: SCENE:PART for a body of a scene, or a file. Matrices: a .npz or "
+            ".mat file, or NAME for the files NAME.M, NAME.K, … in Matrix Market or "
+            "Harwell-Boeing format. A second-order model has the matrices M, E (damping), K, B "
+            "and C; a first-order model E x' = A x + B u, y = C x + D u has E, A, B, C and D. "
+            "Other programs: a file of Abaqus, CalculiX, Nastran or Ansys. Measurements: a "
+            "frequency response (.s1p, .s2p, .csv, .txt, .zma, .mat), or a table of a thermal "
+            "transient. For every kind of file, NAME.toml in the same folder states ports, units "
+            "and band."
         ),
     ),
     "target": typer.Argument(
@@ -114,8 +115,8 @@ PARAMETERS = {
     "trust": typer.Option(
         "--trust",
         help=(
-            "Allow included netlists to run commands and access files. With this option, "
-            "lines that ngspice ignores or replaces cause only a warning."
+            "Allow included netlists to run commands and access files. With this option, kc2spice "
+            "prints a warning, not an error, if ngspice ignores or replaces a line of a netlist."
         ),
     ),
     "as_json": typer.Option("--json", help="Print one JSON object instead of tables."),
@@ -136,8 +137,8 @@ PARAMETERS = {
     "keep": typer.Option("--keep", help="Keep the raw file and the log file of the simulator."),
     "dialect": typer.Option(
         metavar="DIALECT",
-        help=f"Simulator for which the netlist is written: {_list_dialects()}, or a dialect of an "
-        "installed package.",
+        help=f"Simulator for which the netlist is written: {_list_dialects()}, or a simulator "
+        "that an installed plug-in package adds.",
     ),
     "export.tolerance": typer.Option(
         metavar="X",
@@ -146,11 +147,12 @@ PARAMETERS = {
             "in the scene."
         ),
     ),
-    "count": typer.Option(metavar="N", help="Write N copies of the scene into one deck."),
+    "count": typer.Option(metavar="N", help="Write N copies of the scene into one netlist file."),
     "rom": typer.Option(
         metavar="FILE",
         help=(
-            "Export a reduced model instead of a scene; FILE is an output of the command reduce."
+            "Export a reduced model instead of a scene. FILE is the file NAME_rom/NAME_rom.npz "
+            "that `kc2spice reduce` writes."
         ),
     ),
     "dense": typer.Option(
@@ -164,8 +166,9 @@ PARAMETERS = {
     "full": typer.Option(
         "--full",
         help=(
-            "Integrate full models over up to 400 000 time steps instead of 4 000, and solve "
-            "large full models at all frequencies."
+            "Verify more thoroughly, but slower: integrate full models over up to 400 000 time "
+            "steps (default: 4 000), and solve full models of more than 3 000 unknowns at all "
+            "frequencies of the comparison (default: 3 frequencies)."
         ),
     ),
     "search": typer.Argument(
@@ -184,8 +187,8 @@ PARAMETERS = {
         metavar="F0 F1",
         help=(
             "Lowest and highest frequency of the band in which the error is estimated [Hz]. "
-            "Default: the band in NAME.toml or the scene, otherwise up to the fifth natural "
-            "frequency."
+            "Default: the band stated in the scene or in the file NAME.toml of the model, "
+            "otherwise 0 Hz to slightly above the fifth natural frequency."
         ),
     ),
     "tolerance": typer.Option(
@@ -210,8 +213,9 @@ PARAMETERS = {
     "solver": typer.Option(
         metavar="NAME",
         help=(
-            "Direct solver for the linear equations of the reduction, such as pardiso "
-            "(requires pip install 'kc2spice[fast]'). Default: CHOLMOD and SuperLU."
+            "Direct solver for the linear equations of the reduction, such as pardiso (requires "
+            "pip install 'kc2spice[fast]'). Default: CHOLMOD for symmetric positive definite "
+            "matrices, SuperLU for most other matrices."
         ),
     ),
     "norm": typer.Option(
@@ -254,9 +258,9 @@ PARAMETERS = {
     "vary": typer.Option(
         metavar="KEY[=LOW:HIGH]",
         help=(
-            "Key of the part that is fitted, and its range in SI units. Default range: 30 % "
-            "below to 30 % above the value in the scene; for losses, a tenth to ten times "
-            "this value. Repeatable."
+            "Key that the command fits, and the range of its value in SI units or with "
+            "units, such as damping.quality=10:200. Default range: 1/1.3 to 1.3 times the value "
+            "in the scene; for losses, a tenth to ten times the value in the scene. Repeatable."
         ),
     ),
     "error": typer.Option(
@@ -271,8 +275,9 @@ PARAMETERS = {
     "bench.metric": typer.Option(
         metavar="NAME",
         help=(
-            "Metric whose error must not exceed --error. Default: the key `bench.metric` of "
-            "the scene, otherwise all metrics that converge. Repeatable."
+            "Metric whose error must not exceed --error. Default: the key `bench.metric` of the "
+            "scene, otherwise all metrics that change by at most 1 % between the two finest "
+            "settings. Repeatable."
         ),
     ),
     "sweep.metric": typer.Option(

@@ -30,7 +30,7 @@ from kc2spice.cli.terminal_output import (
 )
 from kc2spice.cli.usage_errors import CheckedCommand, CheckedCommands
 from kc2spice.core import __version__
-from kc2spice.core.argument_names import naming_options
+from kc2spice.core.argument_and_option_names import use_options_in_errors
 from kc2spice.core.errors import GateMissedError, MissingToolError, SimulationError, UsageError
 from kc2spice.core.signal_handlers import end_on_signals
 
@@ -99,8 +99,8 @@ def run_command_line() -> None:
     # objects exist until the program ends.
     gc.set_threshold(100_000)
     try:
-        # ``report_errors`` is also needed here, for errors that occur outside of the commands, such
-        # as a wrong option before the name of the command.
+        # A wrong option before the name of a command raises an error before any command starts.
+        # ``report_errors`` therefore also encloses the call of the app.
         with end_on_signals(), report_errors():
             app()
     except typer.Exit as end:
@@ -212,14 +212,13 @@ def _export(
     """Write the netlists of SCENE or of a reduced model.
 
     Writes the deck, one library for each part, and symbols for KiCad and LTspice. Exit code 4 if a
-    circuit misses the tolerance of its reduced model. If rounding of the matrix entries causes
-    an error of the same size, the command only prints a warning.
+    circuit misses the tolerance of its reduced model. If rounding of the matrix entries explains
+    the circuit's error, the command prints a warning and does not fail.
     """
     if rom is not None:
         settings = {"SCENE": scene, "--set": set_, "--tolerance": tolerance, "--count": count}
-        settings["--solver"] = solver
-        if scene is not None or set_ or {tolerance, count, solver} != {None}:
-            others = [name for name, value in settings.items() if value not in (None, [])]
+        settings |= {"--solver": solver, "--trust": trust or None}
+        if others := [name for name, value in settings.items() if value not in (None, [])]:
             raise UsageError(
                 f"--rom cannot be combined with {' and '.join(others)}",
                 where="export",
@@ -227,7 +226,7 @@ def _export(
                 expected="SCENE with its options, or --rom FILE with --dialect, --dense and --out",
                 hint=f"kc2spice export --rom {rom}",
             )
-        from kc2spice.workflow.reduce_files import export_rom
+        from kc2spice.workflow.reduction_of_models_from_files import export_rom
 
         files, head = export_rom(rom, out, dialect=dialect, dense=dense), {"rom": str(rom)}
     elif scene is None:
@@ -237,6 +236,14 @@ def _export(
             got="neither SCENE nor --rom",
             expected="kc2spice export SCENE, or kc2spice export --rom FILE",
             hint="for example  kc2spice export impact",
+        )
+    elif dense:
+        raise UsageError(
+            "--dense applies only to a reduced model",
+            where="export",
+            got=f"{scene} --dense",
+            expected="--dense with --rom FILE",
+            hint="leave out --dense",
         )
     else:
         from kc2spice.workflow.export import export_scene
@@ -305,15 +312,15 @@ def _verify(
 
 @_register_command
 def _explain(caller: OutputRecipient, scene: str, set_: list[str] | None = None) -> None:
-    """Print the effects that SCENE models and neglects.
+    """Explain what the model of SCENE includes and neglects.
 
     Lists parts, joined pins, numerical settings with their error estimates, and neglected effects
     with their estimated size.
     """
     from kc2spice.core.progress import StageTimer
-    from kc2spice.scene.model import compute_scene_hash
     from kc2spice.scene.numerical_settings import describe_plan
-    from kc2spice.workflow.models import build_models
+    from kc2spice.scene.scene_classes import compute_scene_hash
+    from kc2spice.workflow.part_models import build_models
 
     loaded = _load_scene(scene, set_)
     build = build_models(loaded, StageTimer())
@@ -349,7 +356,7 @@ def _scenes(
 
     from kc2spice.scene.keys import list_all_keys
     from kc2spice.scene.load import load_scene
-    from kc2spice.scene.part_reference import describe_part_type, describe_part_types
+    from kc2spice.scene.part_type_descriptions import describe_part_type, describe_part_types
     from kc2spice.scene.scene_file import list_gallery
 
     options = {"--keys": keys, "--parts": parts, f"--part {part_type}": part_type is not None}
@@ -392,12 +399,12 @@ def _scenes(
 def _parts(caller: OutputRecipient, search: str | None = None) -> None:
     """List commercial parts; for a part number, also print its keys.
 
-    The commands run, export, verify and explain accept a part number in place of SCENE.
+    All commands with an argument SCENE accept a part number in place of SCENE.
     """
     from dataclasses import asdict
 
     from kc2spice.scene.catalogue import find_part, search_parts
-    from kc2spice.scene.part_reference import write_catalogue_table
+    from kc2spice.scene.part_type_descriptions import write_catalogue_table
 
     parts = search_parts(search or "")
     if caller.print_json_if_requested(list(map(asdict, parts))):
@@ -445,11 +452,11 @@ def _reduce(
     """Reduce matrices or measured data to a small model.
 
     Writes the reduced model with an error estimate into DIR. Exit code 4 for an unstable model, a
-    circuit that misses the tolerance, or a measurement that no circuit describes. If rounding
-    of the matrix entries causes an error of the same size, the command only prints a warning.
+    circuit that misses the tolerance, or a measurement that no circuit describes. If rounding of
+    the matrix entries explains the circuit's error, the command prints a warning and does not fail.
     """
-    from kc2spice.workflow.reduce_files import reduce_file as reduce_study
-    from kc2spice.workflow.reduce_files import require_stable
+    from kc2spice.workflow.reduction_of_models_from_files import reduce_file as reduce_study
+    from kc2spice.workflow.reduction_of_models_from_files import require_stable
 
     options: dict[str, Any] = {"band": band, "tolerance": tolerance, "order": order, "norm": norm}
     if method not in (None, "compare"):
@@ -463,7 +470,7 @@ def _reduce(
         return
     options |= {"dc": dc, "shunt": shunt, "power": power, "network": network}
     options |= {"method": method, "solver": solver}
-    with naming_options(options), caller.open_progress_display() as progress:
+    with use_options_in_errors(options), caller.open_progress_display() as progress:
         result = reduce_study(model, out, **options, progress=progress)
     if caller.print_json_if_requested(result):
         from kc2spice.report.run_page import format_above_band
@@ -495,8 +502,8 @@ def _reduce(
 def _format_states(result: dict[str, Any]) -> str:
     """Return the number of states of a reduced model, and of its first-order form.
 
-    A measured circuit is stated by its unknowns only, because unknowns without inertia have one
-    first-order state.
+    For a model of measured data, only the number of unknowns is returned. In the model of measured
+    data, an unknown without inertia has one first-order state, and any other unknown has two.
     """
     order = result["order"]
     if result["form"] == "first order" or "data" in result:
@@ -519,7 +526,7 @@ def _compare_methods(
 ) -> None:
     """Compare all reduction methods by state count, error estimate and CPU time."""
     from kc2spice.workflow.method_comparison import compare_methods
-    from kc2spice.workflow.reduce_files import require_stable
+    from kc2spice.workflow.reduction_of_models_from_files import require_stable
 
     for option, value in no_effect.items():
         if value is not None:
@@ -530,7 +537,7 @@ def _compare_methods(
                 expected="--method compare without this option",
                 hint=f"leave out {option}",
             )
-    with naming_options(options), caller.open_progress_display() as progress:
+    with use_options_in_errors(options), caller.open_progress_display() as progress:
         result = compare_methods(model, **options, progress=progress)
     if caller.print_json_if_requested(result):
         title = f"{result['unknowns']} equations, error {result['norm']}"
@@ -575,7 +582,10 @@ def _fit(
             hint=f"write {target}:PART with a part that 'kc2spice explain {target}' lists",
         )
     scene = _load_scene(name, set_)
-    with naming_options(("vary", "shunt", "out")), caller.open_progress_display() as progress:
+    with (
+        use_options_in_errors(("vary", "shunt", "out")),
+        caller.open_progress_display() as progress,
+    ):
         out = out or Path(f"{part}_fit")
         result = fit_study(scene, part, data, vary or (), out, progress, shunt=shunt)
     if caller.print_json_if_requested(result):
@@ -600,7 +610,7 @@ def _bench(
 
     Measures error and CPU time of SCENE for several values of the numerical settings that 'explain'
     lists, except meshes. The reference solution has the finest value of every setting. Exit code 4
-    if the error of all settings exceeds --error.
+    if no combination of settings has an error of at most --error.
     """
     from kc2spice.workflow.bench import bench as measure
 
@@ -645,18 +655,17 @@ def _sweep(
     Writes a table with one row for each point, and sweep.html with curves. An interrupted sweep
     continues if the same command is repeated. The row of a failed point states the cause.
     """
-    from kc2spice.scene.overrides import expand_overrides
-    from kc2spice.workflow.sweep import sweeps
+    from kc2spice.workflow.sweep import sweep_execution
     from kc2spice.workflow.sweep.workers import (
         count_available_cores,
         make_dask_connector,
         make_local_pool_opener,
     )
 
-    table = sweeps.get_table_file_name(table_format)
+    table = sweep_execution.get_table_file_name(table_format)
     options: dict[str, Any] = {"zipped": zipped, "latin": latin, "seed": seed, "timeout": timeout}
-    definition = sweeps.load_named_sweep(
-        scene, expand_overrides(set_ or ()), metrics=metric or (), **options
+    definition = sweep_execution.load_named_sweep(
+        scene, set_ or (), metrics=metric or (), **options
     )
     out = out or Path(f"{definition.scene.name}_sweep")
     count = workers or count_available_cores()
@@ -674,7 +683,7 @@ def _sweep(
         table_options: dict[str, Any] = {"table_format": table_format, "retry_failed": retry_failed}
         try:
             with caller.open_progress_display() as progress:
-                result = sweeps.run_sweep(definition, out, pool, progress, **table_options)
+                result = sweep_execution.run_sweep(definition, out, pool, progress, **table_options)
         except KeyboardInterrupt:
             state = f"the points run so far are kept in {out}, the same command runs the rest"
             print(f"kc2spice: interrupted; {state}", file=sys.stderr)

@@ -57,9 +57,9 @@ class OutputRecipient:
 
 
 def _print_limits(stage: str, done: float | None, text: str) -> None:
-    """Print the size limits of refined meshes; print no other progress messages.
+    """Print a progress message if it is about the size limits of refined meshes.
 
-    The error budget is the only stage whose messages contain these limits.
+    Only messages of the stage :data:`ERROR_BUDGET` contain size limits of refined meshes.
     """
     if stage == ERROR_BUDGET:
         print(f"{stage}: {text}", file=sys.stderr)
@@ -85,8 +85,8 @@ def _show_progress_bars() -> Iterator[Progress]:
     starts = dict[str, float]()  # start time of each stage
     with rich.Progress(*left, *right, console=Console(stderr=True)) as bars:
 
-        def fill_bar() -> None:
-            """Fill the progress bars of all stages that have begun."""
+        def fill_bars() -> None:
+            """Fill the progress bars of all stages that have begun, up to 100 %."""
             for task in bars.tasks:
                 bars.update(task.id, total=1, completed=1, end=math.inf)
 
@@ -94,7 +94,7 @@ def _show_progress_bars() -> Iterator[Progress]:
             """Update the completed fraction and the text of a stage's progress bar."""
             tasks = {task.fields["stage"]: task.id for task in bars.tasks}
             if stage not in tasks:
-                fill_bar()
+                fill_bars()
                 starts[stage] = time.monotonic()
                 tasks[stage] = bars.add_task("", total=None, stage=stage, text=text, end=math.inf)
             total, end = None if done is None else 1.0, math.inf
@@ -104,7 +104,7 @@ def _show_progress_bars() -> Iterator[Progress]:
             bars.update(tasks[stage], total=total, completed=done or 0.0, text=text, end=end)
 
         yield update_bar
-        fill_bar()
+        fill_bars()
 
 
 def _describe_remaining_time(seconds: float) -> str:

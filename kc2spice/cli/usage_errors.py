@@ -10,6 +10,7 @@ import shlex
 from collections.abc import Sequence
 from importlib import resources
 from itertools import chain
+from pathlib import Path
 from typing import Any
 
 import typer
@@ -19,6 +20,7 @@ from kc2spice.cli.terminal_output import report_errors
 from kc2spice.core.errors import UsageError, did_you_mean, list_candidates, unknown
 
 PROGRAM = "kc2spice"
+_MAX_WORDS_OF_NAME = 12  # largest number of words of a file name with blanks
 _SEARCH_ARGUMENT = "SEARCH"  # name of an argument that may consist of several words
 # base class of parser errors, which is a class of click in older versions of typer
 _ParserError: Any = typer.BadParameter.__base__
@@ -28,7 +30,7 @@ class CheckedCommand(TyperCommand):
     """Command that reports errors in four lines and prints its usage without braces."""
 
     def make_context(self, info_name: Any, args: Any, parent: Any = None, **extra: Any) -> Any:
-        """Parse the arguments of a command; report each mistake in an error of four lines."""
+        """Make the context of a command from its arguments; report mistakes in four lines."""
         typed = list(args)
         # Extra arguments are rejected below, in an error that contains the typed text.
         extra.setdefault("allow_extra_args", True)
@@ -47,10 +49,10 @@ class CheckedCommand(TyperCommand):
 
 
 class CheckedCommands(TyperGroup):
-    """Group of all commands, which reports mistakes in four lines."""
+    """Group of all commands, with a four-line error for an unknown name or option."""
 
     def make_context(self, info_name: Any, args: Any, parent: Any = None, **extra: Any) -> Any:
-        """Parse the options that stand before the name of the command."""
+        """Make the context of the program from the options before the name of the command."""
         try:
             return super().make_context(info_name, args, parent, **extra)
         except _ParserError as error:
@@ -234,6 +236,8 @@ def _make_extra_word_error(command: Any, words: list[str], typed: list[str]) -> 
                 break
             value.append(item)
         hint = f"put quotes around a value with blanks: --set {shlex.quote(' '.join(value))}"
+    elif (name := _find_file_with_blanks(typed)) is not None:
+        hint = f"put quotes around the name of the file: {shlex.quote(name)}"
     elif "=" in word:
         hint = f"write --set {shlex.quote(word)}"
     elif any(item.metavar == _SEARCH_ARGUMENT for item in command.params):
@@ -247,6 +251,18 @@ def _make_extra_word_error(command: Any, words: list[str], typed: list[str]) -> 
         expected=" ".join([PROGRAM, command.name, *arguments, "[OPTIONS]"]),
         hint=hint,
     )
+
+
+def _find_file_with_blanks(typed: list[str]) -> str | None:
+    """Find a file whose name consists of several typed words, joined by blanks."""
+    words = typed[:_MAX_WORDS_OF_NAME]
+    for start, end in itertools.combinations(range(len(words) + 1), 2):
+        name = " ".join(words[start:end])
+        # a name that is too long for the operating system is not the name of a file
+        with contextlib.suppress(OSError, ValueError):
+            if end - start > 1 and Path(name).is_file():
+                return name
+    return None
 
 
 def _complete_example(command: Any, typed: list[str]) -> str:
@@ -288,7 +304,7 @@ def _make_invalid_number_error(param: Any, typed: list[str], is_integer: bool) -
         problem = "this value is not a whole number" if is_integer else "this value is out of range"
         unlimited = low is None and high is None
         expected = "a whole number" + ("" if unlimited else f", {limits}") if is_integer else limits
-        hint = f"for example {name} {max(low or 1, 1):g}"
+        hint = f"for example {name} {_choose_example_number(param):g}"
         if high == 1 and len(words) == 1 and 1 < float(words[0]) <= 100:
             hint = f"for {words[0]} %, write {name} {float(words[0]) / 100:g}"
         return UsageError(problem, where=name, got=" ".join(words), expected=expected, hint=hint)
@@ -297,7 +313,7 @@ def _make_invalid_number_error(param: Any, typed: list[str], is_integer: bool) -
         expected, hint = kind, f"write {kind} in place of {wrong_word}"
         if low is not None or high is not None:
             expected = f"{kind}, {limits}"
-            hint = f"for example {name} {max(low or 1, 1) if high is None else high:g}"
+            hint = f"for example {name} {_choose_example_number(param):g}"
         share = wrong_word.removesuffix("%").strip()
         if wrong_word.endswith("%") and _is_number(share) and not is_integer:
             hint = f"write {name} {float(share) / 100:.12g}"
@@ -321,6 +337,15 @@ def _find_option_limits(param: Any) -> tuple[float | None, float | None]:
     """
     owner = param if hasattr(param, "min") else getattr(param, "type", None)
     return getattr(owner, "min", None), getattr(owner, "max", None)
+
+
+def _choose_example_number(param: Any) -> float:
+    """Return an accepted value of an option: its default value, or a number near 1."""
+    low, high = _find_option_limits(param)
+    if isinstance(param.default, (int, float)):
+        return param.default
+    number = max(low or 1, 1)
+    return number if high is None else min(number, high)
 
 
 def _is_number(word: str) -> bool:

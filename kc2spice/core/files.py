@@ -11,8 +11,10 @@ import re
 import shutil
 import tempfile
 import time
+import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from itertools import chain, count
 from pathlib import Path
 
 from kc2spice.core.errors import UsageError
@@ -23,21 +25,32 @@ RESULT_FILE = "result.json"
 MAIN_SUFFIXES = (".cir", "verify.json", RESULT_FILE)
 _WORK_SUFFIX = ".part"
 _OTHER_DIRECTORY_HINT = "choose another --out"
+# Ends of the names of files that users edit. Before such a file is replaced, an edited file is
+# renamed.
+_EDITABLE_NAME_ENDS = (
+    ".cir", ".lib", ".sp", ".va", ".asy", ".kicad_sch", ".kicad_sym", ".kicad_pro", ".wbk",
+    "sym-lib-table",
+)  # fmt: skip
+# Hidden file with the hashes of exported files, in directories without ``result.json``
+HASHES_FILE = ".kc2spice.json"
 _SAFE_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,127}")
 _MAX_RECORD_BYTES = 10_000_000  # largest ``result.json`` that is read
 DISK_FULL_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _ABANDONED_AGE = 60.0  # s, age at which an unlocked work directory is deleted
 
 
-def suggest_file(path: Path) -> str | None:
+def suggest_file(path: Path, suffixes: Sequence[str] = ()) -> str | None:
     """Suggest an existing file with a name similar to the name of a missing file.
 
-    Files with the same suffix as the missing file have precedence. A TOML file is suggested only
-    for a TOML file.
+    With ``suffixes``, only files with one of these suffixes are suggested. Otherwise, files with
+    the same suffix as the missing file have precedence. If the missing file is not a TOML file, no
+    TOML file is suggested.
     """
     names: list[str] = []
     with contextlib.suppress(OSError, ValueError):
         names = sorted(item.name for item in path.parent.iterdir() if item.is_file())
+    if suffixes:
+        return _suggest_stem(path, [name for name in names if Path(name).suffix in suffixes])
     suffix = path.suffix.lower()
     same_suffix = [name for name in names if name.lower().endswith(suffix)]
     other_formats = [name for name in names if not name.endswith(".toml")]
@@ -49,12 +62,12 @@ def _suggest_stem(path: Path, names: Sequence[str]) -> str | None:
     import difflib  # difflib is imported here, because most runs do not need it
 
     stems = {Path(name).stem.lower(): name for name in reversed(names)}
-    similar = difflib.get_close_matches(path.stem.lower(), stems, n=1, cutoff=0.7)
+    similar = difflib.get_close_matches(path.stem.lower(), stems, n=1, cutoff=0.6)
     return f"did you mean {stems[similar[0]]!r}?" if similar else None
 
 
 @contextmanager
-def stage_directory(out: Path | str) -> Iterator[Path]:
+def stage_directory(out: Path | str, *, with_hashes: bool = False) -> Iterator[Path]:
     """Yield a work directory whose files move to ``out`` if no error is raised.
 
     If the block raises an error, nothing is written, and earlier results in ``out`` stay
@@ -62,16 +75,28 @@ def stage_directory(out: Path | str) -> Iterator[Path]:
     directory therefore publish their files one after the other. No program reads an incomplete
     file.
 
+    If a netlist, symbol or schematic in ``out`` has been edited, the edited file is renamed to
+    ``NAME.bak``, and a warning is printed. A file counts as edited unless its hash is in a file
+    ``result.json``, or in the hidden file that ``with_hashes`` writes into the directory.
+
     Raises
     ------
-    UsageError : ``out`` is a file, or cannot be created or written.
+    UsageError : the path ``out`` denotes a file, or a directory that cannot be created or written.
     """
+    if not isinstance(out, (str, Path)):
+        raise UsageError(
+            "this object is not the path of a directory",
+            where="out",
+            got=repr(out)[:120],
+            expected="a str or a Path",
+            hint='for example "results"',
+        )
     if "\0" in str(out):
         raise UsageError(
             "this path contains a zero byte", where=repr(str(out)), hint=_OTHER_DIRECTORY_HINT
         )
     typed = str(out)
-    # A link is replaced by its target, so that the files are renamed within one file system.
+    # Symbolic links in the path are resolved, so that files are renamed within one file system.
     out = Path(os.path.realpath(out))
     # os.path returns False for a path in a directory without permission; pathlib raises an error.
     nearest = next(filter(os.path.exists, (out, *out.parents)))
@@ -99,11 +124,17 @@ def stage_directory(out: Path | str) -> Iterator[Path]:
                     raise
                 raise make_write_error(typed, nearest, error.strerror or str(error)) from None
             try:
-                _publish_files(work, out)
+                backups = _publish_files(work, out, with_hashes)
             except OSError as error:
                 raise make_write_error(typed, out, error.strerror or str(error)) from None
     finally:
         shutil.rmtree(work, ignore_errors=True)
+    for name, backup in backups.items():
+        warnings.warn(
+            f"replaced {Path(typed) / name}, which was edited or has an unknown origin; the old "
+            f"file is now {Path(typed) / backup}",
+            stacklevel=3,
+        )
 
 
 def make_write_error(typed: str, directory: Path, reason: str) -> UsageError:
@@ -120,16 +151,55 @@ def make_write_error(typed: str, directory: Path, reason: str) -> UsageError:
     )
 
 
-def _publish_files(work: Path, out: Path) -> None:
-    """Move the files of the work directory to the output directory."""
+@contextmanager
+def open_folder_of_file(path: object) -> Iterator[Path]:
+    """Create the missing parent folders of a file to be written; yield its path.
+
+    Raises
+    ------
+    UsageError : ``path`` is neither a string nor a path, or the file cannot be written.
+    """
+    if not isinstance(path, (str, Path)):
+        raise UsageError(
+            "this object is not the path of a file",
+            where="path",
+            got=repr(path)[:120],
+            expected="a str or a Path",
+            hint='for example "results/NAME"',
+        )
+    try:
+        Path(path).parent.mkdir(parents=True, exist_ok=True)
+        yield Path(path)
+    except (OSError, ValueError) as error:  # a ValueError for a path with a zero byte
+        raise UsageError(
+            "this file cannot be written",
+            where=str(path).replace("\0", "\\0"),
+            got=getattr(error, "strerror", None) or str(error),
+            expected="the path of a file in a folder that can be written",
+            hint="choose another path",
+        ) from None
+
+
+def _publish_files(work: Path, out: Path, with_hashes: bool) -> dict[str, str]:
+    """Move the files of the work directory to the output directory.
+
+    With ``with_hashes``, also write the hashes of the files. Return the names of edited files that
+    were renamed, each with its new name.
+    """
     out.mkdir(parents=True, exist_ok=True)
     with lock_path(out):
         files = [path.relative_to(work) for path in sorted(work.rglob("*")) if path.is_file()]
+        if with_hashes:
+            _write_hashes_file(work, out, files)
         if Path(RESULT_FILE) in files:
             _record_hashes(work, files)
         stale = list_earlier_files(out) - set(map(str, files))
-        for name in files:
-            if _rank_main_file(name) >= 0:
+        edited = [name for name in files if _is_edited(work, out, name)]
+        backups = {}
+        for name in sorted(files, key=_rank_main_file, reverse=True):
+            if name in edited:
+                backups[str(name)] = str(name.with_name(_rename_to_backup(out / name)))
+            elif _rank_main_file(name) >= 0:
                 (out / name).unlink(missing_ok=True)
         for stale_name in stale:
             with contextlib.suppress(OSError):
@@ -137,6 +207,33 @@ def _publish_files(work: Path, out: Path) -> None:
         for name in sorted(files, key=lambda path: (_rank_main_file(path), path)):
             (out / name).parent.mkdir(parents=True, exist_ok=True)
             os.replace(work / name, out / name)
+        if with_hashes:
+            os.replace(work / HASHES_FILE, out / HASHES_FILE)
+    return backups
+
+
+def _write_hashes_file(work: Path, out: Path, files: list[Path]) -> None:
+    """Write the hashes of exported files and of earlier files in the same directory."""
+    hashes = {str(name): _hash_file(work / name) for name in files}
+    record = {"sha256": _read_hashes(out / HASHES_FILE) | hashes}
+    (work / HASHES_FILE).write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
+
+
+def _is_edited(work: Path, out: Path, name: Path) -> bool:
+    """Return whether a new file would replace a file that kc2spice has not written."""
+    if not name.name.endswith(_EDITABLE_NAME_ENDS) or not (out / name).is_file():
+        return False
+    known = [_read_hashes(out / record).get(str(name)) for record in (RESULT_FILE, HASHES_FILE)]
+    return _hash_file(out / name) not in (*known, _hash_file(work / name))
+
+
+def _rename_to_backup(path: Path) -> str:
+    """Rename a file to ``NAME.bak``, ``NAME.bak2`` and so on; return its new name."""
+    numbers = chain([""], map(str, count(2)))
+    backups = (path.with_name(f"{path.name}.bak{number}") for number in numbers)
+    backup = next(item for item in backups if not os.path.lexists(item))
+    os.replace(path, backup)
+    return backup.name
 
 
 def _record_hashes(work: Path, files: list[Path]) -> None:
@@ -148,7 +245,7 @@ def _record_hashes(work: Path, files: list[Path]) -> None:
     try:
         record = json.loads(path.read_text(encoding="utf-8"))
     except ValueError:
-        return  # an invalid result.json cannot store the hashes
+        return  # no hashes are stored if the file result.json is not valid JSON
     if not isinstance(record, dict):
         return
     record["sha256"] = {
@@ -174,14 +271,8 @@ def list_earlier_files(out: Path) -> set[str]:
     * hidden files,
     * links.
     """
-    try:
-        if (out / RESULT_FILE).stat().st_size > _MAX_RECORD_BYTES:
-            return set()
-        record = json.loads((out / RESULT_FILE).read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
-        return set()
-    hashes = record.get("sha256") if isinstance(record, dict) and "scene" in record else None
-    if not isinstance(hashes, dict):
+    hashes = _read_hashes(out / RESULT_FILE)
+    if not hashes:
         return set()
     safe_names = filter(_SAFE_NAME.fullmatch, hashes)
     present = (
@@ -190,11 +281,24 @@ def list_earlier_files(out: Path) -> set[str]:
     return {RESULT_FILE, *(name for name in present if hashes[name] == _hash_file(out / name))}
 
 
-def _rank_main_file(path: Path) -> int:
-    """Return the rank of a file's suffix among main result files; -1 for other files.
+def _read_hashes(path: Path) -> dict[str, str]:
+    """Read the hashes in a ``result.json`` or :data:`HASHES_FILE`, keyed by file name.
 
-    The position of other suffixes is -1.
+    The result is empty if the file is missing, damaged or from another program.
     """
+    try:
+        if path.stat().st_size > _MAX_RECORD_BYTES:
+            return {}
+        record = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return {}
+    known = isinstance(record, dict) and (path.name == HASHES_FILE or "scene" in record)
+    hashes = record.get("sha256") if known else None
+    return hashes if isinstance(hashes, dict) else {}
+
+
+def _rank_main_file(path: Path) -> int:
+    """Return the rank of a file: the index of its suffix in ``MAIN_SUFFIXES``, or -1."""
     return next((rank for rank, end in enumerate(MAIN_SUFFIXES) if path.name.endswith(end)), -1)
 
 

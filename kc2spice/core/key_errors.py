@@ -24,7 +24,7 @@ from kc2spice.core.schemas import (
     list_keys,
 )
 from kc2spice.core.si_prefix_format import format_quantity
-from kc2spice.core.synonyms import CHOICE_SYNONYMS, KEY_SYNONYMS, REPLACED_KEYS
+from kc2spice.core.synonyms_from_other_programs import CHOICE_SYNONYMS, KEY_SYNONYMS, REPLACED_KEYS
 from kc2spice.core.toml_text import display_text, format_toml, quote_value
 from kc2spice.core.untrusted_files import make_identifier
 
@@ -35,6 +35,8 @@ Explanation: TypeAlias = tuple[str, str | None, str | None]  # message, expected
 _UNION_MEMBER = re.compile(r"\]$|^(float|int|str|bool)$|^[A-Z]\w*Keys$")
 # Unit vectors of the coordinate axes x, y and z, as TOML lists.
 _AXIS_VECTORS = {"x": "[1, 0, 0]", "y": "[0, 1, 0]", "z": "[0, 0, 1]"}
+# message about a number that exceeds a limit of its key
+OUT_OF_RANGE = "out of range"
 _LIMIT_SIGNS = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
 # Keys whose text must be one line, because a line break would begin a statement of the netlist.
 _SINGLE_LINE_KEYS = ("title", "include")
@@ -45,7 +47,8 @@ class _InvalidValue:
     """One invalid value in a table: the pydantic error, the schema and the key.
 
     ``path`` is the key in the scene. ``also`` are accepted keys in addition to the keys of
-    ``schema``. ``missing`` are the required keys that the table of an unknown key lacks.
+    ``schema``. ``missing`` contains the required keys that are absent from the table with the
+    invalid key.
     """
 
     details: ErrorDetails
@@ -70,7 +73,7 @@ class _InvalidValue:
         return self.details.get("ctx", {})
 
     def write_assignment(self, value: str) -> str:
-        """Return the text ``KEY = VALUE`` for a hint, with the invalid key."""
+        """Write the assignment ``KEY = VALUE`` of a value to the invalid key, for a hint."""
         return _write_assignment(self.path, value)
 
 
@@ -100,7 +103,7 @@ def describe_invalid_key(
         path, typed = (*path, *below), _find_typed_value(typed, below, None)
     full_path, kind = (*at, *path), result["type"]
     message, expected, hint = _explain(_InvalidValue(result, schema, full_path, also, missing))
-    if kind == "missing" and path and isinstance(path[-1], int):  # the missing key is a list entry
+    if kind == "missing" and path and isinstance(path[-1], int):  # a list has too few entries
         full_path, typed = full_path[:-1], _find_typed_value(table, path[:-1], ())
         message, expected, hint = _explain_short_list(full_path, typed, len(missing))
         return full_path, {
@@ -225,12 +228,12 @@ def _explain_missing_key(invalid: _InvalidValue) -> Explanation:
 def _replace_unknown_key(word: str, missing: Sequence[str]) -> str:
     """Return the hint to replace an unknown key by the missing key, or to delete it."""
     if len(missing) == 1:
-        return f"write {missing[0]} in place of {word}, because the key {missing[0]} is missing"
+        return f"write {missing[0]} in place of {word}, because the key `{missing[0]}` is missing"
     return f"delete {word}"
 
 
 def _suggest_key(word: str, fields: Sequence[str]) -> str | None:
-    """Return the hint to use the scene key that replaces a common name."""
+    """Return the hint to write a scene key, such as ``quality``, in place of ``q``."""
     key, hint = REPLACED_KEYS.get(word.lower(), ("", ""))
     return hint if key in fields else None
 
@@ -303,7 +306,7 @@ def _explain_pattern(invalid: _InvalidValue) -> Explanation:
 
 
 def _explain_quantity(invalid: _InvalidValue) -> Explanation:
-    """Explain an error that a validator of kc2spice raised with its own texts."""
+    """Explain an error of type ``quantity``, which contains its own reason and hint."""
     return invalid.context["reason"], invalid.context["expected"], invalid.context.get("hint")
 
 
@@ -354,7 +357,7 @@ def _explain_limit(invalid: _InvalidValue) -> Explanation:
     limit = ", ".join(f"{_LIMIT_SIGNS[key]} {bound:g}" for key, bound in invalid.context.items())
     unit = _find_unit(invalid.schema, invalid.schema_path) or ""
     hint = _suggest_value(join_path(invalid.path), invalid.value, invalid.context, unit)
-    return "out of range", f"{limit} {unit}".rstrip(), hint
+    return OUT_OF_RANGE, f"{limit} {unit}".rstrip(), hint
 
 
 def _explain_reason(invalid: _InvalidValue) -> Explanation:
@@ -387,7 +390,7 @@ def _explain_table(invalid: _InvalidValue) -> Explanation:
 
 
 def _suggest_table(invalid: _InvalidValue, form: str) -> str:
-    """Suggest to write a table, with the typed value under its most likely key."""
+    """Suggest to write a table that contains the user's value under a likely key."""
     schema, place, path, value = invalid.schema, invalid.schema_path, invalid.path, invalid.value
     if isinstance(value, (Mapping, list)) or len(path) <= 1:
         key = _find_choice_key(schema, place, value)
@@ -440,7 +443,7 @@ def _explain_short_list(path: KeyPath, typed: object, lacking: int) -> tuple[str
     numeric = all(isinstance(item, (int, float)) for item in entries)
     count, pad = len(entries) + lacking, 0 if numeric else "VALUE"
     added = [pad] * lacking
-    # a band begins at 0 Hz, other lists end with the missing entries
+    # the hint adds 0 Hz at the start of a band, and adds entries at the end of any other list
     completed = [*added, *entries] if path[-1] == "band" else [*entries, *added]
     full = format_toml(completed).replace('"VALUE"', "VALUE")
     return (
@@ -479,7 +482,7 @@ def _write_assignment(path: KeyPath, value: str) -> str:
 def _write_entry(schema: type[BaseModel], typed: object) -> str:
     """Write an example of an inline table with all required keys of its schema.
 
-    A typed string becomes the value of the first key without a unit.
+    If ``typed`` is a string, it becomes the value of the first required key that has no unit.
     """
     entries, text = [], typed if isinstance(typed, str) else None
     for name, field in schema.model_fields.items():
@@ -503,7 +506,10 @@ def _find_text_key(schema: type[BaseModel], path: KeyPath) -> str | None:
 
 
 def _find_choice_key(schema: type[BaseModel], path: KeyPath, value: object) -> str | None:
-    """Return the key of a table that accepts the typed value as one of its choices."""
+    """Return the key for which the typed value is a permitted choice, otherwise None.
+
+    Only the keys of the table at ``path`` are searched.
+    """
     for name, field in _find_schema(schema, (*path, "")).model_fields.items():
         if get_origin(field.annotation) is Literal and value in get_args(field.annotation):
             return name
@@ -550,7 +556,7 @@ def _get_help_command(schema: type[BaseModel]) -> str | None:
 
 
 def _find_inner_section(annotation: Any) -> type[BaseModel] | None:
-    """Return the first section class inside of an annotation, at any depth."""
+    """Find the first section class in a type annotation, at any nesting depth."""
     section = find_section(annotation)
     inner = map(_find_inner_section, get_args(annotation)) if section is None else ()
     return section or next(filter(None, inner), None)

@@ -16,7 +16,7 @@ import numpy as np
 
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import SimulationError
-from kc2spice.core.mesh_error import MESH_ERROR_PREFIX
+from kc2spice.core.mesh_error_descriptions import MESH_ERROR_PREFIX
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +60,7 @@ class PiecewisePolynomial(EqualByContent):
         )
 
     def add_constant(self, by: np.ndarray) -> PiecewisePolynomial:
-        """Return the polynomials plus one constant for each function.
+        """Return the piecewise polynomials, with one constant added to each function.
 
         The constant of function k is ``by[k]``.
         """
@@ -135,10 +135,10 @@ def compute_current_products(i1: Any, i2: Any) -> np.ndarray:
 class Coenergy:
     """Magnetic coenergy [J] as a function of sphere height and coil currents.
 
-    The coenergy is ``W(y, i) = p(y) . products(i)`` at the height y for the currents i. The
-    products are the powers of the currents in :data:`CURRENT_EXPONENTS`. The derivative of W with
-    respect to the height y [m] is the force [N]. The derivatives of W with respect to the currents
-    i [A] are the flux linkages [Wb].
+    The coenergy is ``W(y, i) = p(y) . products(i)`` at the height y for the currents i.
+    ``products(i)`` are the six products ``i1^a i2^b`` of the currents, with the exponents a and b
+    in :data:`CURRENT_EXPONENTS`. The derivative of W with respect to the height y [m] is the force
+    [N]. The derivatives of W with respect to the currents i [A] are the flux linkages [Wb].
     """
 
     terms: PiecewisePolynomial  # coefficients p, shape (..., 6)
@@ -176,7 +176,11 @@ class Coenergy:
         return np.asarray((slopes * compute_current_products(i1, i2)).sum(axis=-1))
 
     def compute_inductances(self, y: Any) -> np.ndarray:
-        """Return the symmetric inductance matrix (..., 2, 2) [H] at the height ``y`` [m]."""
+        """Return the symmetric inductance matrix [H] of the two coils.
+
+        The height ``y`` [m] of the sphere's centre is measured from the surface on which the sphere
+        rests. The inductance matrix has the shape (..., 2, 2).
+        """
         return _compute_current_hessian(self.terms(self.require_height(y, "catch")))
 
 
@@ -248,9 +252,10 @@ class MagnetostaticTable(EqualByContent):
     def coenergy(self) -> Coenergy:
         """Coenergy of the actuator, computed as the integral of the force over the height.
 
-        As a result, the force is exactly the derivative of the coenergy. The derivative of a flux
-        spline would have a lower order of accuracy. The integration constants make the mean flux
-        over all heights equal to the mean flux of the finite-element solutions.
+        As a result, the force is exactly the derivative of the coenergy. The force is not computed
+        as the derivative of a flux spline, because this derivative has a lower order of accuracy.
+        The integration constants make the mean flux over all heights equal to the mean flux of the
+        finite-element solutions.
         """
         integrals = self.splines.integral()
         half = self.inductance / 2

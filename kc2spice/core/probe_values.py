@@ -1,7 +1,7 @@
 """Computation of probe values: extremes, means, crossings and sound levels.
 
 :func:`compute_probe_value` computes one number from two arrays: the values of a wave, and its
-scale, such as times. Complex frequency responses are replaced by their magnitude.
+times, frequencies or swept values. Complex frequency responses are replaced by their magnitude.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def compute_probe_value(
     window: tuple[float, float] | None = None,
     reference: float = GAS_REFERENCE,
 ) -> float | None:
-    """Compute the value of a probe, such as a maximum or rms value, from a wave.
+    """Compute the value of a probe, such as a maximum or rms value, from a waveform.
 
     Parameters
     ----------
@@ -42,27 +42,28 @@ def compute_probe_value(
     scale : ndarray
         Times, frequencies or swept values (n,) of the points, in SI units.
     values : ndarray
-        Wave (n,) in SI units; complex for a frequency response.
+        Waveform (n,) in SI units; complex for a frequency response.
     where : str
         Scene key of the probe, for error messages.
     at : float, optional
-        Position on the scale (time, frequency or swept value) at which the wave is evaluated. By
-        default, all points are used.
+        Time, frequency or swept value at which the waveform is evaluated. By default, all points
+        are used.
     level : float, default 0
-        Value that the wave crosses, in the SI unit of the wave, for the probe value ``crossing``.
+        Value that the waveform crosses, in its SI unit, for the probe value ``crossing``.
     window : tuple of float, optional
-        First and last position on the scale. Only points between these positions are used.
+        First and last time, frequency or swept value of the points that are used.
     reference : float, default 20 uPa
         Rms pressure [Pa] that corresponds to a sound pressure level of 0 dB.
 
     Returns
     -------
     float or None
-        Value in SI units, or in dB; None if the wave has no crossing or no complete cycle.
+        Value in SI units, or in dB; None if the waveform has no crossing or no complete cycle.
 
     Raises
     ------
-    UsageError : ``at`` or an end of the window is outside of the scale.
+    UsageError : ``at`` or an end of ``window`` is outside the analysed range of times, frequencies
+        or swept values.
 
     Examples
     --------
@@ -87,10 +88,10 @@ def _compute_rms(
     at: float | None,
     window: tuple[float, float] | None,
 ) -> float:
-    """Compute the rms value of a waveform, or of the oscillation in a response.
+    """Compute the rms value of a waveform, or of an ac response at one frequency.
 
-    The result for a response is the rms value of the oscillation at one frequency, by default at
-    the frequency of the largest magnitude.
+    For an ac response, the result is the rms value of the sine at one frequency, by default at the
+    frequency of the largest magnitude.
     """
     response = np.iscomplexobj(values)
     take = "max" if response else "rms"
@@ -102,11 +103,12 @@ def _compute_rms(
 def _clip_to_window(
     scale: np.ndarray, values: np.ndarray, window: tuple[float, float], where: str
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the points of a wave in a window, with interpolated points at both ends.
+    """Return the points of a waveform in a window, with interpolated end points.
 
     Raises
     ------
-    UsageError : an end of the window is outside of the scale.
+    UsageError : an end of ``window`` is outside the analysed range of times, frequencies or swept
+        values.
     """
     direction = -1 if scale[0] > scale[-1] else 1
     scale, values = scale[::direction], values[::direction]
@@ -122,7 +124,7 @@ def _clip_to_window(
 
 
 def _evaluate_range(take: str, scale: np.ndarray, values: np.ndarray, level: float) -> float | None:
-    """Compute the probe value, such as ``max``, from all given points of a wave."""
+    """Compute the probe value, such as ``max``, from all given points of a waveform."""
     if np.iscomplexobj(values) and take in ("max", "argmax"):
         place, largest = find_response_maximum(scale.real, np.abs(values))
         return largest if take == "max" else place
@@ -144,7 +146,8 @@ def find_response_maximum(frequency: np.ndarray, size: np.ndarray) -> tuple[floa
 
     If the largest point is the first or the last point, this point is returned without
     interpolation. If the interpolated maximum exceeds the largest point by more than
-    :data:`MAX_CORRECTION`, the points are too far apart, and the largest point is also returned.
+    :data:`MAX_CORRECTION`, the largest point is returned instead, because the points are too far
+    apart.
 
     >>> w = np.array([9.0, 10.1, 11.2])
     >>> place, value = find_response_maximum(w, np.abs(1 / (1j * (w - 10) + 1)))
@@ -176,7 +179,7 @@ def find_response_minimum(frequency: np.ndarray, size: np.ndarray) -> float:
 
 
 def compute_mean_frequency(scale: np.ndarray, values: np.ndarray) -> float | None:
-    """Return the mean frequency of an oscillation in the second half of the scale.
+    """Return the mean frequency of an oscillation in the second half of its duration.
 
     A cycle is the interval between two points at which the wave rises through its mean. The result
     is None if the wave has no complete cycle.
@@ -192,7 +195,7 @@ def compute_mean_frequency(scale: np.ndarray, values: np.ndarray) -> float | Non
 
 
 def find_first_crossing(scale: np.ndarray, values: np.ndarray, level: float) -> float | None:
-    """Return the first position on the scale at which a wave crosses ``level``."""
+    """Return the first time, frequency or swept value where ``values`` cross a level."""
     above = values >= level
     changes = np.flatnonzero(above[1:] != above[:-1])
     if changes.size == 0:
@@ -203,14 +206,16 @@ def find_first_crossing(scale: np.ndarray, values: np.ndarray, level: float) -> 
 
 
 def _compute_time_average(scale: np.ndarray, values: np.ndarray) -> float:
-    """Compute the mean of a wave over its scale by the trapezoidal rule."""
-    span = scale[-1] - scale[0]  # if the scale descends, span and integral are both negative
+    """Average a waveform over time or a swept key by the trapezoidal rule."""
+    # If the independent variable, such as a voltage, decreases, span and integral are negative.
+    span = scale[-1] - scale[0]
     return float(
         np.trapezoid(values, scale) / span if span else values[0]
     )  # the mean of a single point is the value at this point
 
 
-# Functions that compute a probe value from scale, wave and level, keyed by the name of the value.
+# Functions that compute a probe value of a wave, keyed by the name of the value, such as ``max``.
+# Their arguments are the times or frequencies, the samples of the wave, and a level for crossings.
 _PROBE_FUNCTIONS: dict[str, Callable[[np.ndarray, np.ndarray, float], float | None]] = {
     "argmax": lambda scale, values, _: scale[values.argmax()],
     "max": lambda scale, values, _: values.max(),
@@ -225,15 +230,19 @@ _PROBE_FUNCTIONS: dict[str, Callable[[np.ndarray, np.ndarray, float], float | No
 
 
 def _is_on_scale(scale: np.ndarray, place: float) -> bool:
-    """Return whether a position is within the scale, with a tolerance for rounding."""
+    """Return whether a time, frequency or swept value is within the analysed range.
+
+    ``scale`` contains the analysed times, frequencies or swept values. A tolerance allows for
+    rounding errors.
+    """
     slack = SCALE_ROUNDING * float(np.ptp(scale))
     return bool(scale.min() - slack <= place <= scale.max() + slack)
 
 
 def _make_outside_error(where: str, place: float, scale: np.ndarray) -> UsageError:
-    """Make the error for a position that is outside of the scale."""
+    """Make the error for a position outside the analysed time, frequency or key range."""
     return UsageError(
-        "this place is outside of the range of the analysis",
+        "this time, frequency or swept value is outside of the range of the analysis",
         where=where,
         got=f"{place:g}",
         expected=f"{scale.min():g} … {scale.max():g}",
@@ -242,7 +251,7 @@ def _make_outside_error(where: str, place: float, scale: np.ndarray) -> UsageErr
 
 
 def _interpolate_value(scale: np.ndarray, values: np.ndarray, place: float, where: str) -> float:
-    """Interpolate a wave at a position; return the magnitude if the wave is complex."""
+    """Interpolate a waveform at a position; return the magnitude of a complex value."""
     if not _is_on_scale(scale, place):
         raise _make_outside_error(f"{where}.at", place, scale)
     result = interpolate(place, scale, values)

@@ -94,8 +94,13 @@ def _parse_number_with_unit(si: str, value: object) -> float:
     return _parse_number(si, value)
 
 
+def _convert_whole_number(value: object) -> object:
+    """Convert a float without fraction, such as 1e3, to an integer."""
+    return int(value) if isinstance(value, float) and value.is_integer() else value
+
+
 def _require_ring_choice(value: object) -> object:
-    """Validate the choice of contact rings: ``needed``, ``all`` or a positive number.
+    """Validate the choice of contact rings: ``needed``, ``all`` or a number of rings.
 
     Any other value raises an error.
     """
@@ -167,7 +172,7 @@ def si(unit: str) -> BeforeValidator:
 
     Raises
     ------
-    UsageError : ``unit`` is not a product or quotient of SI units.
+    UsageError : the text ``unit`` is not a product or quotient of SI units.
     """
     if parse_unit(unit) is None:
         raise UsageError(
@@ -193,6 +198,21 @@ class PlausibleRange:
     why: str
 
 
+@dataclass(frozen=True)
+class UsualRange:
+    """Range of usual values of a key or result; unusual values print a warning.
+
+    Usual values are at least ``low`` and below ``high``, in ``unit``. Unlike values outside of a
+    :class:`PlausibleRange`, unusual values are accepted. ``why`` is the reason for the limits. Zero
+    is always accepted.
+    """
+
+    unit: str
+    low: float
+    high: float
+    why: str
+
+
 Length = Annotated[float, si("m")]
 # Plausible dimensions of manufactured parts: thickness of layers and plates, width, and length.
 Thickness = Annotated[
@@ -208,7 +228,13 @@ Voltage = Annotated[float, si("V")]
 Current = Annotated[float, si("A")]
 Velocity = Annotated[float, si("m/s")]
 Acceleration = Annotated[float, si("m/s2")]
-Stiffness = Annotated[float, si("N/m")]
+USUAL_GRAVITY = UsualRange("m/s2", -100.0, 100.0, "even the gravity of Jupiter is only 25 m/s2")
+Gravity = Annotated[Acceleration, USUAL_GRAVITY]
+# A steel cube with edges of 1 m has a stiffness of 2e11 N/m.
+USUAL_STIFFNESS = UsualRange(
+    "N/m", 0.0, 1e11, "a steel block as large as a transducer has less than 1e11 N/m"
+)
+Stiffness = Annotated[float, si("N/m"), USUAL_STIFFNESS]
 Density = Annotated[float, si("kg/m3")]
 Pressure = Annotated[float, si("Pa")]
 FluxDensity = Annotated[float, si("T")]
@@ -221,22 +247,37 @@ PLAUSIBLE_CAPACITANCE = PlausibleRange(
 PLAUSIBLE_INDUCTANCE = PlausibleRange(
     "H", 1e-15, 1e5, "the largest coils have thousands of henries"
 )
-Capacitance = Annotated[float, si("F"), PLAUSIBLE_CAPACITANCE]
+USUAL_CAPACITANCE = UsualRange("F", 0.0, 1.0, "only supercapacitors have 1 F or more")
+USUAL_COIL_INDUCTANCE = UsualRange("H", 0.0, 100.0, "coils usually have less than 100 H")
+Capacitance = Annotated[float, si("F"), PLAUSIBLE_CAPACITANCE, USUAL_CAPACITANCE]
 Inductance = Annotated[float, si("H"), PLAUSIBLE_INDUCTANCE]
+# The motional inductances of crystals can be thousands of henries.
+CoilInductance = Annotated[Inductance, USUAL_COIL_INDUCTANCE]
 PLAUSIBLE_MASS = PlausibleRange(
     "kg", 1e-18, 1e3, "no transducer moves less than a femtogram or more than a ton"
 )
-Mass = Annotated[float, si("kg"), PLAUSIBLE_MASS]
+USUAL_MASS = UsualRange("kg", 0.0, 10.0, "moving parts of transducers usually have less than 10 kg")
+Mass = Annotated[float, si("kg"), PLAUSIBLE_MASS, USUAL_MASS]
 MechanicalDamping = Annotated[float, si("N s/m")]
 Charge = Annotated[float, si("C")]
 Slew = Annotated[float, si("V/s")]
 Ratio = Annotated[float, si("")]
-Count = Annotated[int, Strict()]
+Count = Annotated[int, BeforeValidator(_convert_whole_number), Strict()]
 Place = Annotated[float, PlainValidator(_parse_scale_position)]
 Rings = Annotated[Literal["needed", "all"] | int, BeforeValidator(_require_ring_choice)]
 Mounting = Annotated[Literal["roller", "glued", "free"] | float, BeforeValidator(_parse_mounting)]
 GateLength = Annotated[float, BeforeValidator(partial(_parse_number_with_unit, "m"))]
 GateTime = Annotated[float, BeforeValidator(partial(_parse_number_with_unit, "s"))]
+
+
+# Usual ranges of results of a transient, an operating point or a dc sweep, one for each unit.
+USUAL_RESULTS = (
+    UsualRange(
+        "K", -DEFAULT_TEMPERATURE, 3e3, "solids melt, and nothing is colder than absolute zero"
+    ),
+    UsualRange("m", -10.0, 10.0, "the parts of a transducer move by much less than 10 m"),
+    UsualRange("m/s", -SOUND_SPEED, SOUND_SPEED, "this motion is faster than sound in air"),
+)
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from typing import Any, get_args
 from pydantic import BaseModel, BeforeValidator
 from pydantic.fields import FieldInfo
 
-from kc2spice.core.quantities import PlausibleRange
+from kc2spice.core.quantities import PlausibleRange, UsualRange
 
 KeyPath = tuple[str | int, ...]
 
@@ -26,7 +26,7 @@ def list_keys(schema: type[BaseModel]) -> Iterator[tuple[tuple[str, ...], FieldI
 
 
 def find_section(annotation: Any) -> type[BaseModel] | None:
-    """Return the section class in a type annotation such as ``Kick | None``.
+    """Find the section class, which declares a key table, in a type annotation.
 
     The result is None if the type annotation contains no section class.
     """
@@ -59,6 +59,12 @@ def get_plausible_range(field: FieldInfo) -> PlausibleRange | None:
     return next(
         (meta for meta in _list_field_metadata(field) if isinstance(meta, PlausibleRange)), None
     )
+
+
+def get_usual_range(field: FieldInfo) -> UsualRange | None:
+    """Return the range of usual values of a schema field; None if it has no range."""
+    ranges = (meta for meta in _list_field_metadata(field) if isinstance(meta, UsualRange))
+    return next(ranges, None)
 
 
 def join_path(path: KeyPath) -> str:

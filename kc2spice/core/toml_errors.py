@@ -1,4 +1,4 @@
-"""Errors of TOML files that quote the faulty line and suggest a correction.
+"""Errors about TOML files, with the faulty line and a suggested correction.
 
 The parser reports the position at which the parser stopped, which is seldom the position of the
 mistake. Each function ``_repair_…`` proposes repaired lines for one kind of mistake.
@@ -19,6 +19,7 @@ from kc2spice.core.untrusted_files import (
     LONGEST_KEY,
     MAX_NESTING,
     MAX_TEXT_BYTES,
+    make_identifier,
     parse_toml,
     split_lines,
 )
@@ -78,7 +79,7 @@ def make_toml_error(text: str, error: ValueError, label: str) -> UsageError:
     number = _find_line_number(text, str(error))
     if number is None:  # the errors "too long" and "nested too deeply" have no line number
         return UsageError(
-            "this text is not valid TOML",
+            "this TOML text exceeds a limit on length or nesting",
             where=label,
             got=str(error),
             expected=f"at most {MAX_TEXT_BYTES} characters, keys of at most {LONGEST_KEY} "
@@ -116,6 +117,10 @@ def make_toml_error(text: str, error: ValueError, label: str) -> UsageError:
     )
 
 
+# Line of a table: at least two numbers, separated by commas, semicolons, blanks or tabs.
+_ROW_OF_NUMBERS = re.compile(
+    r"\s*[-+]?[\d.]+(?:[eE][-+]?\d+)?(?:[ \t,;]+[-+]?[\d.]+(?:[eE][-+]?\d+)?)+\s*"
+)
 _NETLIST_CARD = re.compile(r"(?im)^\.(tran|ac|dc|op|end|ends|subckt|model|include|lib)\b")
 # File extensions of other formats, with the name of the format and the advised action.
 _OTHER_FORMATS = {
@@ -127,7 +132,7 @@ _OTHER_FORMATS = {
 
 
 def _make_other_format_error(text: str, label: str) -> UsageError | None:
-    """Make the error for a netlist or other non-TOML file; None for other texts."""
+    """Make the error for a file in a known non-TOML format; None for any other file."""
     name, action = _OTHER_FORMATS.get(Path(label).suffix.lower(), ("", ""))
     if not name and not label.endswith(".toml") and _NETLIST_CARD.search(text):
         name = "a SPICE netlist"
@@ -135,6 +140,9 @@ def _make_other_format_error(text: str, label: str) -> UsageError | None:
             f'write a scene that contains the netlist as  part = "netlist"  and  file = "{label}"'
             "; the built-in scene bring_your_own is an example"
         )
+    if not name and _is_table_of_numbers(text):
+        name = "a table of numbers"
+        action = "kc2spice reduce FILE  reads a table of measured values"
     if not name:
         return None
     return UsageError(
@@ -143,6 +151,13 @@ def _make_other_format_error(text: str, label: str) -> UsageError | None:
         expected="a TOML file with a table for each part",
         hint=action.replace("FILE", label),
     )
+
+
+def _is_table_of_numbers(text: str) -> bool:
+    """Return whether the last lines of a text are rows of numbers."""
+    rows = [line for line in split_lines(text.rstrip()) if line.strip()][-2:]
+    short = all(len(line) <= MAX_LINE_LENGTH for line in rows)
+    return len(rows) > 1 and short and all(map(_ROW_OF_NUMBERS.fullmatch, rows))
 
 
 def _parse_header(line: str) -> tuple[str, str]:
@@ -177,7 +192,7 @@ def _find_line_number(text: str, message: str) -> int | None:
 
 
 def _measure_parser_position(lines: Sequence[str], repair: _Repair) -> tuple[float, float]:
-    """Return the line and column that the parser reaches after a repair of the text."""
+    """Return the position, line and column, where the parser stops in a repaired text."""
     changed = [*lines[: repair.number - 1], repair.line, *lines[repair.number :]]
     text = "\n".join(changed) + "\n"
     try:
@@ -267,6 +282,11 @@ def _repair_header(lines: Sequence[str], number: int) -> Iterator[_Repair]:
     brackets, name = _parse_header(lines[number - 1])
     if not name:
         return
+    if re.search(r"\s", name) and not re.search("[\"']", name):
+        plain = ".".join(make_identifier(word, "part") for word in re.split(r"\s*\.\s*", name))
+        header = f"{brackets}{plain}{']' * len(brackets)}"
+        problem = "the name of this table contains a blank"
+        yield _Repair(problem, number, header, _suggest_line(header))
     # at the top level of a scene, no key is a list of tables
     header = f"[[{name}]]" if brackets == "[[" and "." in name else f"[{name}]"
     yield _Repair("the brackets of a table do not match", number, header, _suggest_line(header))
@@ -353,8 +373,26 @@ def _repair_comment(lines: Sequence[str], number: int) -> Iterator[_Repair]:
             yield _Repair(problem, number, repaired, _suggest_line(repaired))
 
 
+# Number with a decimal comma after an equals sign, and a unit without quotes, if any.
+_DECIMAL_COMMA = re.compile(
+    r"(?<==)(\s*)([-+]?\d+),(\d+(?:[eE][-+]?\d+)?)(?:\s*([A-Za-zµΩ%][^,\[\]{}\"'#]*?))?"
+    r"(?=\s*(?:$|[,\]}#]))"
+)
+
+
+def _repair_decimal_comma(lines: Sequence[str], number: int) -> Iterator[_Repair]:
+    """Yield the repair of a number with a comma in place of the decimal point."""
+    line = lines[number - 1]
+    if match := _DECIMAL_COMMA.search(_mask_strings(line).rstrip()):
+        space, whole, digits, unit = match.groups()
+        value = f'"{whole}.{digits} {unit}"' if unit else f"{whole}.{digits}"
+        repaired = f"{line[: match.start()]}{space}{value}{line[match.end() :]}"
+        yield _Repair("a comma in a number", number, repaired, _suggest_line(repaired))
+
+
 _REPAIR_FUNCTIONS: tuple[Callable[[Sequence[str], int], Iterator[_Repair]], ...] = (
     _repair_header,
+    _repair_decimal_comma,
     _repair_typographic_quotes,
     _repair_assignment,
     _repair_round_brackets,
@@ -422,13 +460,14 @@ def _make_duplicate_error(
     _, header = _parse_header(line)
     name = f"[{header}]" if header else line.partition("=")[0].strip()
     first = _find_first_line(lines, number, name)
-    before = "" if first is None else f" is on line {first} already"
     kind = "table" if header else "key"
     action = f"rename the second {name} (line {number}), or delete it with its keys"
     if not header:
         action = f"delete line {number}" if first is None else f"delete line {first} or {number}"
     return UsageError(
-        f"the {kind} {name}{before}" if before else f"the {kind} {name} occurs twice",
+        f"the {kind} {name} occurs twice"
+        if first is None
+        else f"line {first} already contains the {kind} {name}",
         where=f"{label}, line {number}",
         got=line,
         hint=action,

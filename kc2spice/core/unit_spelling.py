@@ -43,8 +43,8 @@ _FOREIGN_UNITS = {
     "hp": (745.699871582, "W"), "Ah": (3600.0, "C"), "mAh": (3.6, "C"),
     "g/cm3": (1e3, "kg/m3"), "g/cc": (1e3, "kg/m3"), "cc": (1e-6, "m3"), "ppm": (1e-6, ""),
 }  # fmt: skip
-# a range such as 1 g:2 g:5, or a list such as 1 g,2 g
-_SEVERAL_VALUES = re.compile(r"\s*([-+]?[\d.]+\s*[A-Za-z%/]*)\s*:\s*[-+]?\d|"
+# a range such as 1 g:2 g:5, or a list such as 1 g,2 g or 1 g;2 g
+_SEVERAL_VALUES = re.compile(r"\s*([-+]?[\d.]+\s*[A-Za-z%/]*)\s*[:;]\s*[-+]?\d|"
                              r"\s*([-+]?[\d.]+\s*[A-Za-z%/]+)\s*,\s*[-+]?\d")  # fmt: skip
 
 # Values of usual size, keyed by SI unit. For other units, the example is 1.
@@ -56,7 +56,7 @@ _EXAMPLES = {
 
 def is_range_or_list(value: object) -> bool:
     """Return whether a text is a range such as 1 g:2 g:5, or a list such as 1 g,2 g."""
-    # the time of the comparison grows faster than the length of the text
+    # long texts are not compared, because the time of the comparison grows faster than the length
     is_short = isinstance(value, str) and len(value) <= MAX_QUANTITY_LENGTH
     return is_short and _SEVERAL_VALUES.match(str(value)) is not None
 
@@ -102,7 +102,7 @@ def suggest_spelling(value: object, si: str) -> str | None:
         for correct in _CORRECTIONS:
             if advice := correct(typed, si):
                 return advice
-    return _complete_text(value, typed, si) or _suggest_unit(typed, si)
+    return _suggest_point_or_unit(value, typed, si) or _suggest_unit(typed, si)
 
 
 def _make_form_hint(si: str) -> str:
@@ -118,14 +118,14 @@ def _suggest_if_valid(text: str, si: str) -> str | None:
     return None
 
 
-def _replace_name(typed: _TypedQuantity, si: str) -> str | None:
+def _suggest_unit_symbol(typed: _TypedQuantity, si: str) -> str | None:
     """Suggest the symbol of a unit whose name was typed, as in ``5 volts``."""
     word = "" if parse_unit(typed.unit) else typed.unit.lower().removesuffix("s")
     symbol = _UNIT_WORDS.get(word)
     return symbol and _suggest_if_valid(f"{typed.number} {symbol}", si)
 
 
-def _replace_celsius(typed: _TypedQuantity, si: str) -> str | None:
+def _suggest_kelvin(typed: _TypedQuantity, si: str) -> str | None:
     """Suggest kelvin in place of degrees Celsius for a temperature difference."""
     celsius = re.search("°C|℃|degC", typed.unit)
     if celsius is None:
@@ -137,8 +137,8 @@ def _replace_celsius(typed: _TypedQuantity, si: str) -> str | None:
     return _suggest_if_valid(f"{typed.number} {typed.unit.replace(celsius[0], 'K')}", si)
 
 
-def _replace_prefix_in_number(typed: _TypedQuantity, si: str) -> str | None:
-    """Suggest a decimal point in place of the prefix in a number such as ``4k7``."""
+def _suggest_prefix_before_unit(typed: _TypedQuantity, si: str) -> str | None:
+    """Suggest ``4.7 kOhm`` in place of ``4k7``, where the prefix separates decimals."""
     split = re.fullmatch(r"(\d+)([pnumkMGRΩ])(\d+)", typed.text)
     if split is None:
         return None
@@ -181,9 +181,9 @@ def _complete_unit(typed: _TypedQuantity, si: str) -> str | None:
 
 # Functions that suggest corrections of a text that begins with a number, in the order of trials.
 _CORRECTIONS = (
-    _replace_name,
-    _replace_celsius,
-    _replace_prefix_in_number,
+    _suggest_unit_symbol,
+    _suggest_kelvin,
+    _suggest_prefix_before_unit,
     _correct_letter_case,
     _add_exponent,
     _convert_foreign_unit,
@@ -191,8 +191,8 @@ _CORRECTIONS = (
 )
 
 
-def _complete_text(value: str, typed: _TypedQuantity | None, si: str) -> str | None:
-    """Suggest a decimal point in place of a comma, or add a missing unit."""
+def _suggest_point_or_unit(value: str, typed: _TypedQuantity | None, si: str) -> str | None:
+    """Suggest a decimal point in place of a comma, or a unit for a plain number."""
     for text in (value.replace(",", ".", 1), f"{value.rstrip()}{si}", f"{value.rstrip()} {si}"):
         with contextlib.suppress(ValueError):
             if not math.isfinite(parse_quantity(text, si)):
@@ -212,10 +212,12 @@ def _suggest_unit(typed: _TypedQuantity | None, si: str) -> str:
     if typed is None:
         return _make_form_hint(si)
     number, unit = typed.number, typed.unit
-    as_typed = f'write  "{number} {si}"  if the value is in {si}'
+    base = "g" if si == "kg" else si  # unit without a prefix
     if parse_unit(unit) is not None:
-        return as_typed if si else f"write {number}"
-    units = [f"{prefix}{si}" for prefix in ("", *UNIT_PREFIXES)]
+        prefix = unit[:1] if unit not in UNITS and unit[1:] in UNITS and base in UNITS else ""
+        same = f"{prefix}{base}" if prefix else si
+        return f'write  "{number} {same}"  if the value is in {same}' if si else f"write {number}"
+    units = [f"{prefix}{base}" for prefix in ("", *UNIT_PREFIXES)]
     lower = {item.lower(): item for item in reversed(units)}
     # a prefix as a word or in the wrong letter case: 1 micro F, 1 KOhm
     word = re.sub(r"^(micro|milli|kilo|nano|pico)\s*", _abbreviate_prefix, unit).lower()
@@ -224,7 +226,7 @@ def _suggest_unit(typed: _TypedQuantity | None, si: str) -> str:
         similar = [lower[item] for item in get_close_matches(unit.lower(), lower, 1, 0.7)]
     if similar or not si:
         return f'write  "{number} {similar[0]}"' if similar else f"write {number}"
-    return as_typed
+    return f'write  "{number} {si}"  if the value is in {si}'
 
 
 def _abbreviate_prefix(match: re.Match[str]) -> str:

@@ -1,8 +1,9 @@
 """Safe reading of untrusted files, whose sizes, names and types are checked.
 
-The time of Python's TOML parser is proportional to the square of the length of a dotted key. For
-every bracket, the parser calls itself. An archive may be much larger after unpacking. Therefore the
-sizes in a file are compared with limits before the file is parsed or unpacked.
+The time of Python's TOML parser is proportional to the square of the length of a dotted key.
+Python's TOML parser calls itself for every nested bracket, so that many brackets exceed the
+recursion limit. An archive may be much larger after unpacking. Therefore the sizes in a file are
+compared with limits before the file is parsed or unpacked.
 
 Parsers written in C can crash, fill the memory, or execute commands in a file. Therefore these
 parsers run in a child process with limited memory in a separate folder. The child process cannot
@@ -55,6 +56,20 @@ _TOML_TOKEN = re.compile(
     re.DOTALL,
 )
 _AFTER_KEY = re.compile(r"[ \t]{0,200}[.=\]]")
+
+
+def reject_toml_file(path: Path, expected: str) -> None:
+    """Raise an error for the path of a TOML file in place of a netlist.
+
+    ``expected`` describes the netlist that is accepted.
+    """
+    if path.suffix.lower() == ".toml":
+        raise UsageError(
+            "this file is a TOML file, not a netlist",
+            where=str(path),
+            expected=expected,
+            hint=f"kc2spice run {path} runs a scene",
+        )
 
 
 def read_bounded(path: Path, limit: int) -> bytes:
@@ -127,8 +142,9 @@ def make_encoding_error(data: bytes, where: str) -> UsageError:
 def split_lines(text: str) -> list[str]:
     r"""Split a text into lines that end with ``\n``, ``\r\n`` or ``\r``.
 
-    ``str.splitlines`` also breaks lines at form feeds and at U+0085, U+2028 and U+2029. With
-    additional line breaks, a part of a netlist comment could become a statement.
+    ``str.splitlines`` also breaks lines at form feeds and at U+0085, U+2028 and U+2029. If a
+    character such as U+2028 also ended a line, the rest of a netlist comment could become a
+    statement.
 
     >>> split_lines("* a comment\u2028that goes on\nR1 a b 1k\n")
     ['* a comment\u2028that goes on', 'R1 a b 1k']
@@ -140,9 +156,9 @@ def split_lines(text: str) -> list[str]:
 def explain_unsafe_name(name: str) -> str | None:
     """Explain why a file name is unsafe as a path; return None for a safe name.
 
-    A safe path consists of parts that are separated by slashes. Each part contains letters, digits,
-    spaces and ``_ . + -``. A part begins with a letter, a digit or ``_``, and does not end with a
-    space or a dot.
+    A safe path consists of components that are separated by slashes. Each component contains only
+    letters, digits, spaces and ``_ . + -``. Each component of a safe path begins with a letter, a
+    digit or ``_``, and does not end with a space or a dot.
     """
     if not name:
         return "an empty name"
@@ -189,7 +205,8 @@ def locate_file_in_folder(home: Path, name: str, where: str) -> Path:
 def make_identifier(name: str, otherwise: str) -> str:
     """Replace all characters of a name except letters and digits by ``_``.
 
-    If the first character is not a letter, the prefix ``otherwise`` and ``_`` are added.
+    If the name does not begin with a letter, the argument ``otherwise`` and an underscore are put
+    before the name.
     """
     plain = re.sub(r"[^A-Za-z0-9_]", "_", name)[:48]
     return plain if plain[:1].isalpha() else f"{otherwise}_{plain}"
@@ -245,9 +262,9 @@ def read_archive(
     """Read selected arrays of an ``.npz`` file, with limits on their size.
 
     The function ``select`` returns whether the array with a name is to be read. No object is
-    unpickled. Before any array is read, its declared size is checked. An array must have at most
-    ``entries(name)`` elements, and no more bytes than its unpacked file in the archive. All arrays
-    together must have at most ``total`` bytes.
+    unpickled. Before an array is read, the size in its header is checked. An array must have at
+    most ``entries(name)`` elements. The header of an array must not declare more bytes than its
+    unpacked ``.npy`` file contains. All arrays together must have at most ``total`` bytes.
 
     Raises
     ------
@@ -268,7 +285,10 @@ def read_archive(
             if kind.hasobject:
                 raise ValueError(f"{name} is a Python object, not an array of numbers")
             if kind.itemsize > _MAX_ITEM_BYTES or size > item.file_size:
-                raise ValueError(f"{name} is not a plain array of its declared size")
+                raise ValueError(
+                    f"the array {name} has elements of more than {_MAX_ITEM_BYTES} bytes, or the "
+                    "file contains fewer bytes than the array's header declares"
+                )
             declared += size
         if declared > total:
             raise ValueError(f"{declared:.3g} unpacked bytes exceed the limit of {total:.3g}")

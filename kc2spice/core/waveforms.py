@@ -30,9 +30,9 @@ MAX_PULSES = 25_000
 
 @dataclass(frozen=True, eq=False)
 class Waveforms(EqualByContent):
-    """Result arrays in SI units with a common scale, named as in waveforms.npz.
+    """Results in SI units as functions of one variable, named as in waveforms.npz.
 
-    The common scale is ``time``, ``frequency`` or the swept value.
+    The independent variable of all arrays is ``time``, ``frequency`` or the swept value.
 
     ``stats`` contains statistics of the simulator: the numbers of ``accepted`` and ``rejected``
     time points and of ``iterations``, and the CPU time ``cpu_s`` [s].
@@ -43,7 +43,7 @@ class Waveforms(EqualByContent):
 
     @property
     def scale(self) -> np.ndarray:
-        """Common scale of the arrays: times, frequencies or swept values."""
+        """Values of the scale, the independent variable of all waveforms."""
         return next(iter(self.data.values()))
 
     def __getitem__(self, name: str) -> np.ndarray:
@@ -59,7 +59,7 @@ class Waveforms(EqualByContent):
         return iter(self.data)
 
 
-SCALES = {"time": "s", "frequency": "Hz"}  # SI units of the scales
+SCALES = {"time": "s", "frequency": "Hz"}  # SI units of independent variables
 
 
 def quote_csv_cell(text: str) -> str:
@@ -91,7 +91,7 @@ def save_arrays(waves: Waveforms, path: Path) -> None:
 
 
 def _split_columns(name: str, values: np.ndarray, unit: str) -> Iterator[tuple[str, np.ndarray]]:
-    """Yield the title and the values of each CSV column for one array.
+    """Split an array into real CSV columns; yield each column's title and values.
 
     A complex array has two columns: the real part and the imaginary part.
     """
@@ -129,10 +129,11 @@ def differentiate(values: np.ndarray, over: np.ndarray) -> np.ndarray:
 
 
 def interpolate(at: Any, scale: np.ndarray, values: np.ndarray) -> Any:
-    """Interpolate sampled values linearly between the points of a monotonic scale.
+    """Interpolate linearly between samples over a monotonic independent variable.
 
-    ``at`` contains the points of the scale for which values are computed. ``values`` and ``scale``
-    are arrays of shape (n,).
+    ``scale`` contains the values of the independent variable at the samples. ``at`` contains the
+    values of the independent variable at which the samples are interpolated. ``values`` and
+    ``scale`` are arrays of shape (n,).
     """
     direction = -1 if scale[0] > scale[-1] else 1
     return np.interp(at, scale[::direction], values[::direction])
@@ -169,7 +170,7 @@ class PulseKeys(Section):
 
 
 class SineKeys(Section):
-    """Scene keys of a sine ``amplitude sin(2 pi frequency (t - start))``.
+    """Scene keys of a sine ``amplitude * sin(2 pi * frequency * (t - start))``.
 
     Before the time ``start``, the waveform is zero.
     """
@@ -261,8 +262,8 @@ class Waveform:
         """Compute a time derivative of the waveform at several times.
 
         ``order`` is the order of the derivative, and ``t`` contains the times. The derivative jumps
-        at each corner. The times ``within`` are on the side of the corner for which the derivative
-        is computed.
+        at each corner. At a corner of the waveform, the function returns the one-sided derivative
+        on the side that contains the corresponding time in ``within``.
         """
         if not self.is_piecewise_linear:
             return self._evaluate_sine(t, within, order)
@@ -280,6 +281,14 @@ class Waveform:
             times, first = np.unique((times + turns[:, None]).ravel(), return_index=True)
             values = np.tile(values, turns.size)[first]
         return times, values
+
+    def find_first_change(self) -> float | None:
+        """Return the time [s] at which the waveform first changes; None if it is constant."""
+        if not self.is_piecewise_linear:
+            return self.start if self.amplitude else None
+        times, values = self._corner_points
+        changes = np.flatnonzero(np.diff(values))
+        return float(times[changes[0]]) if changes.size else None
 
     def find_corner_times(self, stop: float) -> np.ndarray:
         """Return the times [s] at which the time derivative of the waveform jumps.
@@ -365,14 +374,14 @@ def make_pulse_waveform(
         raise UsageError(
             "the pulse has a count, but no period",
             expected="period and count",
-            hint="add the key period, or delete count",
+            hint="add the key `period`, or delete the key `count`",
         )
     if count is not None and not 1 <= count <= MAX_PULSES:
         raise UsageError(
             "count is not a number of pulses",
             got=count,
             expected=f"1 to {MAX_PULSES}; without a count the train has no end",
-            hint="delete count",
+            hint="delete the key `count`",
         )
     edges = ((0.0, low), (edge, high), (width, high), (width + edge, low))
     corners = tuple((start + t, v) for t, v in edges)
@@ -416,7 +425,7 @@ class RecordedWave(EqualByContent):
         return self.compute_derivative(t, t, 0)
 
     def compute_derivative(self, t: Any, within: Any, order: int = 1) -> Any:
-        """Return a time derivative of the curve at several times.
+        """Compute the ``order``-th time derivative of the recorded curve at several times.
 
         ``order`` is the order of the derivative, and ``t`` contains the times.
         """
@@ -435,7 +444,7 @@ Function = Waveform | RecordedWave
 
 
 def _round_difference(first: float, last: float) -> float:
-    """Return ``last - first`` with the fewest digits that its rounding error permits."""
+    """Return the shortest decimal equal to ``last - first`` within rounding errors."""
     exact = last - first
     slack = 2 * np.spacing(max(abs(first), abs(last)))
     rounded = (float(f"{exact:.{digits}g}") for digits in range(1, 17))

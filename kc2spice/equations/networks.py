@@ -10,8 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
 
-from kc2spice.core.domains import TABLE
-from kc2spice.core.laws import (
+from kc2spice.core.constitutive_laws import (
     GROUND,
     Device,
     IdealSource,
@@ -21,6 +20,7 @@ from kc2spice.core.laws import (
     WaveCombination,
     make_sensor_block,
 )
+from kc2spice.core.domains import TABLE
 
 # SI value of the across quantity that 1 V on a node represents, keyed by the kind of the pin.
 NODE_UNITS = {domain.law_pin_kind: domain.across.factor for domain in TABLE}
@@ -28,11 +28,11 @@ NODE_UNITS = {domain.law_pin_kind: domain.across.factor for domain in TABLE}
 
 @dataclass(frozen=True)
 class Network:
-    """Network of laws that are connected directly or through other laws.
+    """Network: laws (equations of parts) that are connected by nets other than ground.
 
     ``joins`` maps the name of each net to its pins. ``results`` maps the name of each result to a
-    linear combination of waves. ``sweeps`` maps each pair ``(part, key)`` to the name of the source
-    that the key sets, and to the source's value per SI unit of the key.
+    linear combination of waveforms. ``sweeps`` maps each pair ``(part, key)`` to the name of the
+    source that the key sets, and to the source's value per SI unit of the key.
     """
 
     laws: tuple[Law, ...]
@@ -51,10 +51,10 @@ class Network:
         return frozenset(map(attrgetter("name"), self.laws))
 
     def is_fully_driven_by(self, driven: set[str]) -> bool:
-        """Return whether all nets except ground have a driven pin and no law is a body.
+        """Return whether sources drive all nets except ground, and no part is a body.
 
-        ``driven`` contains the driven pins. The result is also false if the network contains a
-        body, or if ``driven`` is empty.
+        ``driven`` contains the output pins of the sources that drive the nets. The result is also
+        false if the network contains a body, or if ``driven`` is empty.
         """
         if not driven or any(isinstance(law, SecondOrderBody | PortBody) for law in self.laws):
             return False
@@ -119,7 +119,7 @@ def connect_sensors(
 
 
 def get_law_name(pin: str) -> str:
-    """Return the name of the law to which a pin or wave ``LAW.NAME`` belongs."""
+    """Return the name of the law to which a pin or waveform ``LAW.NAME`` belongs."""
     return pin.partition(".")[0]
 
 

@@ -13,8 +13,7 @@ from itertools import chain, filterfalse
 from operator import attrgetter
 from typing import NamedTuple
 
-from kc2spice.core.domains import FLOW_SYMBOLS
-from kc2spice.core.laws import (
+from kc2spice.core.constitutive_laws import (
     GROUND,
     Equations,
     IdealSource,
@@ -23,6 +22,7 @@ from kc2spice.core.laws import (
     SecondOrderBody,
     WaveCombination,
 )
+from kc2spice.core.domains import FLOW_SYMBOLS
 from kc2spice.equations.networks import (
     Network,
     list_pin_kinds,
@@ -30,7 +30,7 @@ from kc2spice.equations.networks import (
     prescribes_value,
     split_networks,
 )
-from kc2spice.scene.model import BuiltScene
+from kc2spice.scene.scene_classes import BuiltScene
 
 
 class PinLink(NamedTuple):
@@ -61,13 +61,13 @@ class SceneLaws:
 
     @cached_property
     def available_equations(self) -> Mapping[str, Equations]:
-        """Known equations of the parts that have netlist statements."""
+        """Equations of each part that has both netlist statements and known equations."""
         stated = self._equations_by_part.items()
         return {name: item for name, item in stated if isinstance(item, Equations)}
 
     @cached_property
     def _equations_by_part(self) -> Mapping[str, Equations | MissingEquations | None]:
-        """Equations of each part with netlist statements, or the reason for their absence."""
+        """Equations keyed by part, or the reason why a part has no equations."""
         parts = map(self.build.scene.parts.__getitem__, self.parts_with_cards)
         return {part.name: part.type.law(part, self.build) for part in parts}
 
@@ -109,8 +109,7 @@ class SceneLaws:
     def is_linear(self) -> bool:
         """Whether the equations of all parts are known and linear.
 
-        Parts without netlist statements are ignored, because other parts copy these parts or
-        prescribe their motion.
+        Parts that other parts copy or move have no netlist statements, and are ignored.
         """
         parts = self.build.scene.parts
         names = [name for name in self.parts_with_cards if not parts[name].is_body]
@@ -133,12 +132,12 @@ class SceneLaws:
 
     @cached_property
     def pin_links(self) -> tuple[PinLink, ...]:
-        """Pins of the parts with a law, and the corresponding pins of the laws."""
+        """Links from each pin of a part to the corresponding pin in the part's equations."""
         return tuple(_list_pin_links(self.build, self.equations))
 
     @cached_property
     def networks(self) -> tuple[Network, ...]:
-        """Networks of laws that have no net in common apart from ground.
+        """Networks of laws; no net except ground belongs to several networks.
 
         Raises
         ------
@@ -147,7 +146,7 @@ class SceneLaws:
         return self.build_networks({})
 
     def build_networks(self, sources: Mapping[str, IdealSource]) -> tuple[Network, ...]:
-        """Build the networks of the laws and of additional sources.
+        """Build the separate networks that the joined laws and additional sources form.
 
         ``sources`` are keyed by net.
         """
@@ -215,13 +214,13 @@ def _add_quantity_names(
 
 
 def _index_laws(equations: Mapping[str, Equations]) -> dict[str, Law]:
-    """Return the laws of all equations, keyed by the name of the law."""
+    """Return the laws in the equations of all parts, keyed by the name of the law."""
     laws = chain.from_iterable(map(attrgetter("laws"), equations.values()))
     return {law.name: law for law in laws}
 
 
 def _list_pin_links(build: BuiltScene, equations: Mapping[str, Equations]) -> Iterator[PinLink]:
-    """Yield the links between pins of parts and pins of laws."""
+    """Yield the links from each pin of a part to the pin in the part's equations."""
     nets = build.scene.nets
     for name, item in equations.items():
         for pin, law_pin in item.pins:
@@ -246,5 +245,5 @@ def store_laws(build: BuiltScene) -> BuiltScene:
 
 
 def _have_same_models(a: BuiltScene, b: BuiltScene) -> bool:
-    """Return whether two built scenes have the same scene and the same models."""
+    """Return whether two built scenes have the same models of the same loaded scene."""
     return a.scene is b.scene and a.models is b.models

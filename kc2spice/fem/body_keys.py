@@ -36,17 +36,23 @@ class BodyMeshKeys(Section):
     )
 
 
+def reject_overcritical_damping(ratio: float, expected: str, hint: str) -> None:
+    """Reject a damping ratio of at least 1, with which a body does not oscillate."""
+    if ratio >= 1:
+        raise make_invalid_value_error("the damping is overcritical", expected, hint=hint)
+
+
 class DampingKeys(Section):
     """Scene keys of the mechanical and dielectric losses of a body.
 
     ``model = "rayleigh"`` selects viscous damping with the matrix ``E = alpha M + beta K``, where M
     is the mass matrix and K the stiffness matrix. The body has the damping ratio ``zeta`` at the
     frequency ``at``, by default the first resonance of the body. Instead of ``zeta``, a Q factor
-    ``1/(2 zeta)`` or a loss factor ``2 zeta`` may be given. If one damping ratio is given, ``beta``
-    is ``2 zeta / omega`` with ``omega = 2 pi at``. Two damping ratios at two frequencies determine
-    ``alpha`` and ``beta`` by the equation ``zeta = alpha/(2 omega) + beta omega/2``. With
-    ``per_material``, E is the sum of ``K_i/(Q_i omega)`` over all materials i. Q_i is the Q factor
-    of material i, and K_i the stiffness matrix of its elements.
+    ``1/(2 zeta)`` or a loss factor ``2 zeta`` may be given. If one damping ratio ``zeta`` at the
+    frequency f is given, ``beta`` is ``zeta / (pi f)``; the key ``at`` states f. Two damping ratios
+    at two frequencies determine ``alpha`` and ``beta`` by the equation ``zeta = alpha/(2 omega) +
+    beta omega/2``. With ``per_material``, E is the sum of ``K_i/(Q_i omega)`` over all materials i.
+    Q_i is the Q factor of material i, and K_i the stiffness matrix of its elements.
 
     ``model = "ieee176"`` selects the complex material constants of IEEE Std 176. The Q factor is
     then the same for all modes. The scene states the material constants at the frequency ``at``, by
@@ -129,7 +135,7 @@ class DampingKeys(Section):
 
     @model_validator(mode="after")
     def _require_consistent_damping(self) -> DampingKeys:
-        """Reject a body with invalid damping values, or with several alternative keys."""
+        """Require consistent damping keys: valid values, and no damping stated twice."""
         choices = [self.ratio, self.quality, self.loss_factor]
         if sum(item is not None for item in choices) + self.per_material > 1:
             names = "ratio", "quality", "loss_factor", "per_material"
@@ -154,12 +160,13 @@ class DampingKeys(Section):
                 "a damping ratio of at least 0, and a frequency above 0",
                 hint='for example  ratio = 0.01  and  at = "5 kHz"',
             )
-        if (values >= 1).any() or (self.quality is not None and self.quality <= 0.5):
-            raise make_invalid_value_error(
-                "the damping is overcritical",
-                "a damping ratio below 1, or a Q factor above 0.5",
-                hint="for 1 % damping, write ratio = 0.01 or quality = 50",
-            )
+        inverse = [0.5 / self.quality] if self.quality is not None else []
+        half = [0.5 * self.loss_factor] if self.loss_factor is not None else []
+        reject_overcritical_damping(
+            max([*values, *inverse, *half], default=0.0),
+            "a damping ratio below 1, a Q factor above 0.5, or a loss factor below 2",
+            "for 1 % damping, write ratio = 0.01 or quality = 50",
+        )
         if two[0] and (self.at[0] == self.at[1] or min(self._solve_two_ratios()) < 0 or self.alpha):  # type: ignore[index]
             raise make_invalid_value_error(
                 (

@@ -38,7 +38,8 @@ from kc2spice.fem.solid import VOIGT_ROWS, Solid, list_tensors
 # For axisymmetric cubic elements with straight edges, the mass matrix needs this degree.
 INTEGRATION_ORDER = 7
 CHUNK_BYTES = 64e6  # largest size [B] of the element matrices that are computed at once
-# relative change of a mapping's derivatives within an element that counts as a rounding error
+# If a mapping's derivatives vary by a smaller fraction within an element, the mapping is treated as
+# affine.
 AFFINE_TOLERANCE = 1e-9
 
 
@@ -119,7 +120,7 @@ class EnrichedOperators:
 def make_enrichment(solid: Solid) -> Enrichment:
     """Make the enrichment of a solid: cubic shape functions on its mesh."""
     functions = evaluate_shape_functions(solid, _make_basis(solid, np.array([0])).X)
-    numbers, signs = _number_functions(solid, functions)
+    numbers, signs = _index_functions(solid, functions)
     return Enrichment(solid, functions, _find_entity_nodes(solid, functions), numbers, signs)
 
 
@@ -181,7 +182,7 @@ def assemble_enrichment(
 
 
 def _make_basis(solid: Solid, cells: np.ndarray) -> skfem.Basis:
-    """Make a finite-element basis whose quadrature is exact, for some elements."""
+    """Make a finite-element basis with exact quadrature on the elements ``cells``."""
     if isinstance(solid.mesh, MeshTet):
         return solid.basis(quadrature=_make_tetrahedron_rule(INTEGRATION_ORDER), elements=cells)
     return solid.basis(INTEGRATION_ORDER, elements=cells)
@@ -253,13 +254,13 @@ def _evaluate_quadrilateral_functions(corners: np.ndarray, X: np.ndarray) -> lis
     return result
 
 
-def _number_functions(
+def _index_functions(
     solid: Solid, functions: Sequence[ShapeFunction]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the number and the sign of each cubic function in each element.
+    """Return the global index and the sign of each cubic function in each element.
 
     Both arrays have the shape (local functions, elements). The function on an edge or face between
-    two elements has the same number in both elements.
+    two elements has the same index in both elements.
     """
     corners = solid.basis(1).element_dofs[: solid.mesh.t.shape[0]]
     element = np.arange(corners.shape[1])
@@ -328,11 +329,12 @@ def _compute_element_matrices(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Compute the stiffness matrices S and mass matrices M of elements.
 
-    All elements have the same material. S has the shape (elements, cubic functions, fields,
-    functions, fields). M has the shape (elements, cubic functions, functions). The shape functions
-    of the ``n`` nodes precede the cubic functions. The fields are the displacement components, and
-    also the potential in piezoelectric and dielectric materials. S is computed from products of
-    gradients on the reference element.
+    All elements have the same material. S has the shape (elements, cubic functions, fields, nodal
+    and cubic functions, fields). M has the shape (elements, cubic functions, nodal and cubic
+    functions). The nodal functions are the shape functions of the ``n`` nodes, and precede the
+    cubic functions. The fields are the displacement components, and also the potential in
+    piezoelectric and dielectric materials. S is computed from products of gradients on the
+    reference element.
     """
     rule = _make_basis(solid, cells)
     weights, radius = rule.dx, np.asarray(rule.global_coordinates())[0]

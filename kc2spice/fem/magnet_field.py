@@ -13,19 +13,21 @@ with ``a = 0`` on the surface of the air cylinder (Schütz, Maeter and Bechtold,
 279, section 2.2.1). The force on the sphere is ``-dP/dy``. In this derivative, each point of the
 air around the sphere moves by g dy. The weight g decreases from 1 on the sphere to 0 on the outline
 of the *mover*. The force from this derivative equals the force from the Maxwell stress, averaged
-over a thick shell (Henrotte, Deliege, Hameyer: The eggshell approach, COMPEL 23(4), 2004).
+over a thick shell. Henrotte, Deliege and Hameyer call the average over a shell the eggshell
+approach (COMPEL 23(4), 2004).
 
 The materials are linear, so the field at each height is a superposition of four fields. The sources
 of these fields are the ring magnet, the sphere magnet, and the currents in two coils. One
 factorisation with four right-hand sides therefore gives force and flux for all currents. Schütz et
-al. solve 369 separate cases for the same purpose. All element matrices are assembled once.
+al. solve 369 separate field problems to compute the force at all heights and currents. All element
+matrices are assembled once.
 
 A new mesh for each height of the sphere would cost time and add numerical noise to the force.
 Therefore the *mover*, which is a box around the sphere, is meshed only once, symmetrically about
 the equator of the sphere. The *stator*, which is the air cylinder with the ring magnet and the
 coils, is also meshed once, with a regular lattice in the bore. At each height of the sphere, the
-mover replaces cells of this lattice. The nodes on the outline of the mover coincide with nodes of
-the lattice.
+mesh of the box around the sphere replaces the lattice cells inside this box. The nodes on the
+outline of the mover coincide with nodes of the lattice.
 """
 
 from __future__ import annotations
@@ -67,10 +69,10 @@ _LATTICE_SIZE, _SPHERE_SIZE, _PART_SIZE, _CORNER_SIZE, _SIZE_GROWTH = (
 )
 
 
-def compute_catch_table(
+def compute_magnetostatic_table(
     catch: CatchKeys, radius: float, progress: Callable[[float], None] = lambda share: None
 ) -> MagnetostaticTable:
-    """Compute a table of force, flux and inductance over the height of the sphere.
+    """Compute the magnetostatic table: force, flux and inductance over sphere height.
 
     The table contains ``catch.positions`` heights from ``catch.y_min`` to ``catch.y_max``.
     ``progress`` is called with the completed fraction after each height. For some heights, the
@@ -89,10 +91,11 @@ def compute_catch_table(
 
 
 def choose_compared_count(count: int) -> int:
-    """Choose the number of sphere heights that are also solved with a coarser mesh.
+    """Choose the count of sphere heights at which two meshes are compared.
 
-    The number is at least five, or ``count`` if there are fewer heights. The chosen heights are
-    equally spaced among all ``count`` heights.
+    At these heights, the field is also solved with a coarser mesh. At least five of the ``count``
+    heights are chosen. If ``count`` is less than five, all heights are chosen. With the chosen
+    number, the compared heights are an equally spaced selection from all ``count`` heights.
     """
     return next(
         (n for n in range(MIN_COMPARED_HEIGHTS, count) if (count - 1) % (n - 1) == 0), count
@@ -136,7 +139,10 @@ def _sweep_heights(
 
 
 def list_sphere_heights(catch: CatchKeys) -> np.ndarray:
-    """Return the heights [m] of the sphere's centre in the magnetostatic table."""
+    """Return the heights [m] of the sphere's centre in the magnetostatic table.
+
+    The heights are measured from the surface on which the sphere rests.
+    """
     return np.linspace(catch.y_min, catch.y_max, catch.positions)
 
 
@@ -147,7 +153,7 @@ def get_ring_direction(catch: CatchKeys) -> float:
 
 @dataclass(frozen=True, eq=False)
 class FieldEquations:
-    """Magnetic field equations ``matrix a = loads`` for unknowns a at one height.
+    """Magnetic field equations ``matrix @ a = loads`` for one height of the sphere.
 
     The equations determine the ``free`` unknowns. All other unknowns are zero.
     """
@@ -155,7 +161,7 @@ class FieldEquations:
     matrix: sparse.csc_array
     loads: np.ndarray  # (n, 4)
     free: np.ndarray
-    mover: np.ndarray  # numbers of the unknowns in the mover
+    mover: np.ndarray  # indices of the unknowns in the mover
     stretch: sparse.csr_array  # force = -1/2 a' stretch a with the unknowns a in the mover
 
     def solve(self, loads: np.ndarray) -> np.ndarray:
@@ -186,7 +192,7 @@ class FieldEquations:
 def assemble_field_equations(
     catch: CatchKeys, radius: float
 ) -> Iterator[tuple[int, FieldEquations]]:
-    """Yield the index and the field equations of each height of the sphere.
+    """Assemble the field equations at each sphere height; yield index and equations.
 
     The same two meshes are used for all heights that differ by a multiple of the lattice pitch.
     """
@@ -217,7 +223,7 @@ class ElementMatrices:
 
 
 def make_field_assembler(catch: CatchKeys, bore: BoreLattice) -> Callable[[float], FieldEquations]:
-    """Return a function that assembles the field equations for a height of the sphere.
+    """Make a function that assembles the field equations for a sphere at a height.
 
     Stator and mover are meshed once, for the lattice ``bore``. The argument of the returned
     function is the height [m] of the sphere's centre, which must be equal to the height of a
@@ -340,7 +346,7 @@ def _stiffness_derivative(u: Any, v: Any, w: Any) -> np.ndarray:
 
 @LinearForm
 def _remanence_load(v: Any, w: Any) -> np.ndarray:
-    """Return the load integrand of a magnet with an axial ``B_rem / mu`` of 1 A/m."""
+    """Return the integrand of the load vector for an axial remanence of mu * 1 A/m."""
     r = w.x[0]
     return 2 * pi * r * (2 * v + r * v.grad[0])
 
@@ -398,7 +404,7 @@ def get_air_section(catch: CatchKeys) -> tuple[float, float, float, float]:
     if high - low >= catch.air_height:
         raise wrong(
             "catch.air_height",
-            "the air cylinder is not as high as the magnet and the coils inside it",
+            "the cylinder of air in the field model is shorter than the magnet and coils inside it",
             got=f"{catch.air_height:g} m",
             expected=(
                 f"more than {high - low:g} m; for a small field error, several times that height"
@@ -410,10 +416,10 @@ def get_air_section(catch: CatchKeys) -> tuple[float, float, float, float]:
 
 
 def choose_lattice_pitch(catch: CatchKeys, radius: float, spacing: float) -> float:
-    """Choose the height [m] of lattice cells, a multiple or fraction of the spacing.
+    """Choose the lattice pitch [m]: an integer multiple or fraction of ``spacing``.
 
-    The spacing of the heights of the sphere is ``spacing`` [m]. ``spacing`` [m] is the distance
-    between consecutive heights of the sphere.
+    The pitch is the height of the lattice cells. ``spacing`` [m] is the distance between
+    consecutive heights of the sphere.
     """
     target = min(_LATTICE_SIZE * radius, _compute_narrowest_gap(catch, radius)) / catch.refine
     ratio = spacing / target
@@ -423,9 +429,9 @@ def choose_lattice_pitch(catch: CatchKeys, radius: float, spacing: float) -> flo
 def make_bore(
     catch: CatchKeys, radius: float, pitch: float, lowest: float, highest: float
 ) -> BoreLattice:
-    """Make the lattice in the bore for a range of heights of the sphere's centre.
+    """Make the lattice of mesh cells in the bore in which the sphere moves.
 
-    The heights reach from ``lowest`` to ``highest`` [m].
+    The sphere's centre moves from the height ``lowest`` to the height ``highest`` [m].
 
     Raises
     ------
@@ -444,7 +450,7 @@ def make_bore(
             hint = f'for example  y_min = "{1e3 * (least + pitch):.3g} mm"'
         raise wrong(
             "catch.y_min, catch.y_max",
-            "the height range of the sphere extends beyond the air cylinder",
+            "the height range of the sphere extends beyond the cylinder of air in the field model",
             got=f"{1e3 * lowest:.4g} mm to {1e3 * highest:.4g} mm",
             expected=expected,
             hint=hint,
@@ -488,10 +494,11 @@ def mesh_stator(catch: CatchKeys, bore: BoreLattice) -> MeshTri2:
 
 
 def mesh_mover(bore: BoreLattice) -> tuple[MeshTri2, np.ndarray]:
-    """Mesh the section of the mover, which is a box around a sphere at the origin.
+    """Mesh the axial section of the mover: a rectangle that encloses a sphere.
 
-    The second returned array is a mask of the triangles inside the sphere. Triangle edges on the
-    surface of the sphere are curved, with middle nodes on the surface.
+    The centre of the sphere is the origin. The second returned array is a mask of the triangles
+    inside the sphere. Triangle edges on the surface of the sphere are curved, with middle nodes on
+    the surface.
     """
     outline = [(0, 0), (bore.radius, 0), (bore.wall, 0), (bore.wall, bore.half)]
     outline += [(0, bore.half), (0, bore.radius)]

@@ -71,18 +71,26 @@ class CatchKeys(Section):
         description="Height of the air cylinder in which the magnetic field is computed",
     )
     y_min: Length = Field(
-        -2.5e-3, description="Lowest height of the sphere in the table of the magnetic force"
+        -2.5e-3,
+        description=(
+            "Lowest height of the sphere's centre in the table of the magnetic force, measured "
+            "from the surface on which the sphere rests"
+        ),
     )
     y_max: Length = Field(
-        7.5e-3, description="Greatest height of the sphere in the table of the magnetic force"
+        7.5e-3,
+        description=(
+            "Greatest height of the sphere's centre in the table of the magnetic force, measured "
+            "from the surface on which the sphere rests"
+        ),
     )
     shift: Length = Field(
         0.0,
         gt=-1e-3,
         lt=1e-3,
         description=(
-            "Mounting error: height of the ring magnet, the coils and the force table above "
-            "their nominal position"
+            "Mounting error: distance by which the ring magnet and the coils are above their "
+            "nominal position; the table of the magnetic force is shifted by the same distance"
         ),
     )
     positions: Annotated[Count, RefinementRule(2.0, spaces=True, model=True)] = Field(

@@ -21,7 +21,7 @@ from numpy.polynomial import chebyshev
 
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import wrong
-from kc2spice.core.mesh_error import MESH_ERROR_PREFIX
+from kc2spice.core.mesh_error_descriptions import MESH_ERROR_PREFIX
 from kc2spice.core.quantities import MU_0
 
 # number of heights (Chebyshev points) at which mutual inductances of coils and rings are computed
@@ -32,17 +32,19 @@ MIN_FILL = 0.02  # smallest conducting fraction of a section; rings below this f
 # distance from the axis, in cell widths, below which a section is evaluated at four points
 AXIS_CELLS = 4
 GAUSS_POINTS = (-0.5 / 3**0.5, 0.5 / 3**0.5)  # Gauss points, relative to the side of a section
-# Smallest distance between distant sections, relative to their longest side.
+# Two sections are distant if (distance / longest side of both sections) is at least FAR_RATIO.
 # For distant sections, the distance between the centres replaces the mean distance.
 FAR_RATIO = 40.0
 DEFAULT_RINGS = 400  # default number of rings per body
 LAYERS_PER_DEPTH = 3.0  # layers of rings per skin depth at a surface, for DEFAULT_RINGS rings
 LAYER_GROWTH = 1.35  # thickness of a layer, relative to the next layer towards the surface
 # Largest number of rings in a sphere if DEFAULT_RINGS rings are requested.
-# A sphere needs more rings, because the sphere has no thin layers below its surface.
+# All cells of a sphere have the same size. At a small skin depth, a sphere therefore needs more
+# rings than a body with thin layers of rings below its surface.
 MAX_SPHERE_RINGS = 1500
 MAX_RINGS = 3000  # largest number of rings; each dense matrix then occupies 70 MB
-# number of heights and of frequencies at which loops are compared with finer rings
+# A model of current loops is compared with a finer division of the body into rings, at
+# COMPARED_HEIGHTS heights and at COMPARED_HEIGHTS frequencies.
 COMPARED_HEIGHTS = 5
 SLOPE_STEP = 1e-4  # height step of finite differences, relative to the range of heights
 
@@ -87,9 +89,10 @@ class RingCells:
         """Self- and mutual inductances (n, n) [H] for a uniform current in each section.
 
         In the formula for two circles, the logarithm is replaced by its mean over both sections (J.
-        C. Maxwell, Trans. R. Soc. Edinburgh 26 (1872) 729). The other term of the formula is
-        evaluated between the centres of both sections. Near the axis, the other term is less
-        smooth, and is averaged over four points of each section.
+        C. Maxwell, Trans. R. Soc. Edinburgh 26 (1872) 729). The part of the formula without the
+        logarithm is evaluated between the centres of both sections. For sections near the axis, the
+        part without the logarithm is less smooth, so it is averaged over four points of each
+        section.
         """
         r, z = self.r, self.z
         logs = self._mean_log_distances
@@ -330,7 +333,7 @@ class LoopModel(EqualByContent):
 
     @property
     def facts(self) -> dict[str, float]:
-        """Number of rings, number of loops, and both error estimates, keyed by name."""
+        """Facts of the loop model: numbers and error estimates of its rings and loops."""
         if not self.rates.size:
             return {}
         known = {"rings": float(self.rings), "loops": float(self.rates.size)}
@@ -339,8 +342,9 @@ class LoopModel(EqualByContent):
     def compute_effect(self, heights: np.ndarray, s: complex, conductivity: float) -> CurrentEffect:
         """Compute the effect of the body's currents on the coils.
 
-        ``heights`` [m] are the heights of the body, ``s`` [1/s] is the Laplace variable, and
-        ``conductivity`` [S/m] is the conductivity of the body.
+        ``heights`` [m] contains the positions of the body along the common axis, for which the
+        effect is computed. ``s`` [1/s] is the Laplace variable, and ``conductivity`` [S/m] is the
+        conductivity of the body.
         """
         x = (2 * heights - self.low - self.high) / (self.high - self.low)
         powers = x[:, None] ** np.arange(self.couplings.shape[2])
@@ -354,7 +358,7 @@ class LoopModel(EqualByContent):
 
 @dataclass(frozen=True, eq=False)
 class CurrentEffect(EqualByContent):
-    """Flux change per ampere due to the body's currents, and its slope over height.
+    """Effect of a body's currents on the fluxes of coils, and its height derivative.
 
     The last axis of both arrays is the height of the body. ``flux`` (c, c, heights) [H] is the
     reduction of the flux in the first coil for each ampere in the second coil. ``slope`` (c, c,
@@ -383,7 +387,7 @@ def compare_rings(
     magnets: Sequence[Winding],
     conductivity: float,
 ) -> float:
-    """Return the largest relative error of a loop model compared with a body's rings.
+    """Compare a loop model with all rings of a body; return the largest error.
 
     The ring currents are computed without modes, at several heights and at frequencies up to the
     largest frequency of the loop model. :meth:`CurrentEffect.find_largest_difference` defines the
@@ -413,9 +417,9 @@ def _compute_couplings(
 ) -> np.ndarray:
     """Compute the mutual inductances [H] between coils and rings.
 
-    ``heights`` [m] are the heights of the body. The returned array has the shape (c, heights, n).
-    If there are magnets, the sum of the mutual inductances between magnets and rings is appended as
-    a last row.
+    ``heights`` [m] are the positions of the body along the common axis. The returned array has the
+    shape (c, heights, n). If there are magnets, the sum of the mutual inductances between magnets
+    and rings is appended as a last row.
     """
     at = body.r, body.z + heights[:, None]
     m = [coil.couple_circles(*at) for coil in coils]
@@ -440,8 +444,8 @@ def reduce_to_loops(
     ``frequency`` [Hz]. The number of loops is the smallest number that satisfies the ``tolerance``.
     The loops are modes in a subspace of the body's currents. The subspace contains the currents
     that coils and magnets cause at several heights and frequencies. A magnet is represented by a
-    winding, with the surface current [A] of the magnet as number of ``turns``. The coupling of a
-    magnet to a loop is a flux [Wb].
+    winding with a current of 1 A. The ``turns`` of this winding equal the magnet's surface current
+    in ampere. The coupling of a magnet to a loop is a flux [Wb].
 
     Raises
     ------
@@ -485,7 +489,7 @@ def make_current_loop(
     nodes, heights = _list_chebyshev_heights(low, high)
 
     def compute_flux_linkage(windings: Sequence[Winding]) -> np.ndarray:
-        """Return the total flux linkage between sheets and windings at each height."""
+        """Return the flux linkage between all current sheets and windings at each height."""
         return sum(
             starmap(Winding.couple_sheet, product(windings, sheets, (heights,))),
             np.zeros(HEIGHT_NODES),
@@ -512,15 +516,16 @@ def _compute_coil_inductance(coils: Sequence[Winding]) -> np.ndarray:
 def _compute_current_basis(
     rates: np.ndarray, mutual: np.ndarray, speeds: np.ndarray, nodes: np.ndarray, tolerance: float
 ) -> tuple[np.ndarray, float]:
-    """Compute an orthonormal basis of the body's currents and its approximation error.
+    """Compute an orthonormal basis of the body's currents, and the basis error.
 
-    The returned error is the largest relative error of flux and force at all frequencies in
-    ``speeds``. The basis approximates the currents that coils with the couplings ``mutual`` (c,
-    heights, n) cause at every second frequency in ``speeds``.
+    ``speeds`` contains angular frequencies [rad/s]. The returned error is the largest relative
+    error of flux and force at any angular frequency in ``speeds``. The basis approximates the
+    currents that coils with the couplings ``mutual`` (c, heights, n) cause at every second angular
+    frequency in ``speeds``.
     """
 
     def compute_currents(speeds: np.ndarray, couplings: np.ndarray) -> np.ndarray:
-        """Return the current in each current mode of the body at several frequencies."""
+        """Compute the current amplitude of each eddy-current mode at several frequencies."""
         return couplings[:, :, None, :] * (1j * speeds / (rates[:, None] + 1j * speeds)).T
 
     sampled = compute_currents(speeds[::2], mutual[:, ::3]).reshape(-1, rates.size)
@@ -568,24 +573,24 @@ def _fit_power_series(nodes: np.ndarray, values: np.ndarray, tolerance: float) -
     relative error of the slopes is below ``tolerance / 10`` for each coil.
     """
     c = _fit_chebyshev(nodes, values)
-    order = np.arange(nodes.size)[:, None, None] ** 2  # largest slope of a Chebyshev polynomial
+    # the largest slope of the Chebyshev polynomial of degree n on the interval from -1 to 1 is n^2
+    order = np.arange(nodes.size)[:, None, None] ** 2
     size = np.abs(chebyshev.chebval(nodes, chebyshev.chebder(c))).max(axis=(1, 2))
     tails = np.cumsum((order * np.abs(c))[::-1], axis=0)[::-1].max(axis=2) / size
     degree = next(
         (n for n in range(2, nodes.size) if tails[n + 1 :].max(initial=0.0) < tolerance / 10), 0
     )
     if not 0 < degree < 3 * nodes.size // 4:
-        got = "a polynomial fit with the relative slope error "
-        got += f"{tails[3 * nodes.size // 4].max():.1g}"
+        error = tails[3 * nodes.size // 4].max()
         raise wrong(
             None,
-            "the magnetic coupling changes too fast with the height",
-            got=got,
-            expected=f"a slope error below {tolerance / 10:g}",
+            "no polynomial represents the magnetic coupling, which changes too fast with the "
+            "height of the moving body",
+            got=f"a polynomial whose slope has a relative error of {error:.1g}",
+            expected=f"a polynomial whose slope has a relative error below {tolerance / 10:g}",
             hint=(
-                f"raise the key `tolerance`, now {tolerance:g}, or choose y_min and "
-                "y_max further from "
-                "the windings"
+                f"raise the key `tolerance`, now {tolerance:g}, or choose `y_min` and `y_max` "
+                "further from the windings"
             ),
         )
     flat = c[: degree + 1].reshape(degree + 1, -1)

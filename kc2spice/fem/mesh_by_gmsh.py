@@ -58,8 +58,8 @@ def extract_mesh(
 
     Raises
     ------
-    UsageError : there are no solids to mesh, a pick selects no entity, or elements have an
-        unsupported shape.
+    UsageError : there are no solids to mesh, a group of ``picks`` selects no entity, or elements
+        have an unsupported shape.
     """
     with gmsh_session() as gmsh:
         gmsh.option.setNumber("Geometry.OCCImportLabels", 1)
@@ -107,7 +107,7 @@ def _collect_arrays(gmsh: ModuleType, dimension: int, where: str) -> dict[str, n
     ranked = tags[order]
 
     def list_blocks(d: int, entities: Iterable[int]) -> list[tuple[np.ndarray, CellBlock]]:
-        """Return the element numbers and a cell block per entity and element type.
+        """Return a cell block and its element numbers for each entity and element type.
 
         The entities have the dimension ``d``.
         """
@@ -254,9 +254,12 @@ def _select_entities(
         result += map(itemgetter(1), inside)
     if not result:
         raise UsageError(
-            "this group selects no part of the mesh",
+            f"this group selects none of the {ENTITY_NAMES[dimension]} of the geometry",
             where=f"groups.{name}",
-            expected=f"a point of, or a box around, {ENTITY_NAMES[dimension]} of the geometry",
+            expected=(
+                f"a point on one of the {ENTITY_NAMES[dimension]}, or a box that contains one of "
+                f"the {ENTITY_NAMES[dimension]}"
+            ),
             hint=f"enlarge the box of groups.{name}, with coordinates in the unit of the file",
         )
     return sorted(set(map(int, result)))

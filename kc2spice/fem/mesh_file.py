@@ -179,17 +179,18 @@ def read_mesh(
 
     Raises
     ------
-    UsageError : the file is missing or contains no solids, or its format does not match its suffix;
-        ``size`` is missing for a CAD file; a pick selects no entity; or touching solids share no
-        nodes.
+    UsageError : the file is missing or contains no solids, or its format does not match its suffix.
+        For a CAD file, the error is also raised if ``size`` is missing or if a point or box in
+        ``picks`` selects no entity. Solids that touch without common nodes also cause the error,
+        because they are not connected. With ``merge = 0``, unconnected solids are accepted.
     """
     data = _read_content(path)
     if path.suffix.lower() in STEP_SUFFIXES and unit != MILLIMETRE:
         raise wrong(
             "unit",
-            "a STEP file states its own unit",
-            got=f"{unit:g} m",
-            expected="no unit, or mm",
+            "a STEP file is converted from its own unit to mm, so no other unit is possible",
+            got=f"a unit of {unit:g} m",
+            expected='no key `unit`, or  unit = "mm"',
             hint="delete the key `unit`",
         )
     cad = path.suffix.lower() in CAD_SUFFIXES
@@ -365,6 +366,17 @@ def require_format(path: Path, head: bytes | None = None) -> None:
     )
 
 
+def make_missing_mesh_error(path: Path) -> UsageError:
+    """Make the error about a mesh or CAD file that does not exist."""
+    return wrong(
+        path.name,
+        "this file does not exist",
+        expected=f"a mesh or CAD file: {list_candidates(path.suffix, FILE_FORMATS)}",
+        hint=suggest_file(path, tuple(FILE_FORMATS))
+        or f"copy {path.name} into the folder {path.parent}",
+    )
+
+
 def _read_content(path: Path) -> bytes:
     """Check the format of a mesh or CAD file, and return the content of the file."""
     require_format(path)
@@ -372,13 +384,7 @@ def _read_content(path: Path) -> bytes:
         data = read_bounded(path, MAX_FILE_BYTES)
     except (OSError, ValueError) as error:
         if isinstance(error, FileNotFoundError):
-            hint = suggest_file(path) or f"copy {path.name} into the folder {path.parent}"
-            raise wrong(
-                path.name,
-                "this file does not exist",
-                expected=f"a mesh or CAD file: {list_candidates(path.suffix, FILE_FORMATS)}",
-                hint=hint,
-            ) from None
+            raise make_missing_mesh_error(path) from None
         reason = getattr(error, "strerror", None) or str(error)
         raise wrong(
             str(path),
@@ -434,7 +440,7 @@ def _assemble_mesh(
                 Path(where).name,
                 "the nodes of the axisymmetric mesh are not in one plane",
                 expected="all nodes at z = 0, or all at y = 0",
-                hint="delete axisymmetric, because this mesh is not a plane section",
+                hint="delete the key `axisymmetric`, because this mesh is not a plane section",
             )
         points = points[:, [0, 3 - flat[0]]]
     blocks = []

@@ -125,11 +125,9 @@ def reject_unsupported_content(suffix: str, data: bytes, where: str) -> None:
         if sets and (len(sets) < len(names) or len(set(sets)) < len(sets)):
             raise wrong(
                 where,
-                "some *ELEMENT lines have no element set of their own",
-                expected=(
-                    "a different ELSET in each *ELEMENT line, or no ELSET in any of these lines"
-                ),
-                hint="delete ELSET from the *ELEMENT lines, and define the sets by *ELSET lines",
+                "some *ELEMENT lines have no ELSET, or the same ELSET as another *ELEMENT line",
+                expected="a different ELSET in every *ELEMENT line, or no *ELEMENT line with ELSET",
+                hint="delete ELSET from all *ELEMENT lines, and define the sets by *ELSET lines",
             )
 
 
@@ -308,7 +306,10 @@ def _collect_element_sets(
 def _list_named_sets(
     mesh: Any, file: str, reader: str, starts: np.ndarray
 ) -> Iterator[tuple[str, np.ndarray]]:
-    """Yield name and element numbers of each element set and each cell data value."""
+    """Yield the name and the element numbers of each set or group of elements.
+
+    Elements with the same value of integer cell data form a group, whose name contains the value.
+    """
     for name, parts in mesh.cell_sets.items():
         pieces = [start + np.asarray(p, int) for start, p in zip(starts, parts, strict=False)]
         yield name, np.concatenate([np.empty(0, int), *pieces])
@@ -366,10 +367,11 @@ def _add_node_set(
     dimension: int,
     tag: int,
 ) -> None:
-    """Add a node set to gmsh as a physical group of faces, or otherwise of points.
+    """Add a node set to gmsh as a physical group that consists of faces or points.
 
-    The group consists of all faces on the surface of the body whose corners are all in the set. If
-    there are no such faces, the group consists of points.
+    The group consists of the surface faces of the body that have all their corners in the node set.
+    If no surface face has all its corners in the set, the group consists of one point for each node
+    of the set.
     """
     inside = [face[np.isin(face, nodes).all(axis=1)] for face in faces]
     surface = []

@@ -42,7 +42,7 @@ def merge_nodes(points: np.ndarray, blocks: Sequence[CellBlock], distance: float
             "the merge distance exceeds the shortest edge of an element",
             got=f"{distance:g} m",
             expected=f"less than the shortest edge, {_find_shortest_edge(points, cells):.4g} m",
-            hint=f"lower merge to {0.1 * _find_shortest_edge(points, cells):.2g} m",
+            hint=f"lower the key `merge` to {0.1 * _find_shortest_edge(points, cells):.2g} m",
         )
     return np.asarray(same)
 
@@ -109,7 +109,7 @@ def reject_unconnected_solids(
 
 
 def _find_nodes_on_other_pieces(points: np.ndarray, cells: np.ndarray, near: float) -> np.ndarray:
-    """Return the numbers of nodes that lie on another piece of the mesh.
+    """Find the nodes on the surface of one mesh piece that lie on another piece.
 
     A piece is a set of connected elements, and only nodes on the surfaces of pieces are considered.
     The ``cells`` (k, d + 1) are triangles or tetrahedra.

@@ -9,12 +9,12 @@ psi, the weak form has these matrices:
     M    = int rho v u          K_uu = int S(v)' C S(u)
     K_up = int S(v)' e' grad phi          K_pp = int grad psi' eps grad phi
 
-A displacement has d components: x, y and z, or r and z in an axisymmetric mesh. The displacement
-component ``axis`` of a node is the unknown with the number ``d node + axis``. The potential of a
-node is the unknown with the number of the node. Strains are in Voigt order xx yy zz yz xz xy with
-engineering shear strains. In an axisymmetric body, x is the radial and y the hoop direction, and
-integrals cover the full revolution. Source: IEEE Std 176-1987; R. Lerch, IEEE Trans. UFFC 37 (1990)
-233.
+A displacement has d components: x, y and z, or r and z in an axisymmetric mesh. With d components
+per node, entry ``d * node + axis`` of the displacement vector is the displacement of the node
+number ``node`` along ``axis``. In the vector of potentials, entry k is the potential of node k.
+Strains are in Voigt order xx yy zz yz xz xy with engineering shear strains. In an axisymmetric
+body, x is the radial and y the hoop direction, and integrals cover the full revolution. Source:
+IEEE Std 176-1987; R. Lerch, IEEE Trans. UFFC 37 (1990) 233.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import combinations
 from typing import Any, Literal
 
 import numpy as np
@@ -33,10 +34,11 @@ from skfem.mesh import Mesh, MeshHex, MeshLine, MeshQuad, MeshTet
 from kc2spice.core.errors import wrong
 from kc2spice.fem.materials import ElementAxes, Material
 
-# highest polynomial degree that integrals over faces reproduce exactly
+# highest polynomial degree that the quadrature over a face integrates exactly
 FACE_QUADRATURE = 5
 CHUNK_SIZE = 4000  # elements processed together, which limits the memory of the element matrices
-# Voigt index of the strain to which the derivative of component i by coordinate j contributes.
+# Entry (i, j) is the Voigt index of the strain that contains the derivative of displacement
+# component i with respect to coordinate j.
 VOIGT_ROWS = np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2]])
 # Indices of the mesh coordinates in the order x, y, z, keyed by the dimension of the mesh.
 # A mesh of dimension 1 is a line along z, and a mesh of dimension 2 is a meridian plane.
@@ -179,7 +181,7 @@ class Solid:
 
     @cached_property
     def _dofs(self) -> skfem.Dofs | None:
-        """scikit-fem degrees of freedom numbered by :attr:`numbers`; None if it is None.
+        """scikit-fem degrees of freedom with the numbers in :attr:`numbers`, or None.
 
         The value is None if ``numbers`` is None; scikit-fem then numbers the nodes.
         """
@@ -192,6 +194,27 @@ class Solid:
     def nodes(self, elements: np.ndarray) -> np.ndarray:
         """Return the node numbers of some elements, sorted and without repetitions."""
         return np.unique(self.basis(1).element_dofs[:, elements])
+
+
+def find_mesh_frequency_limit(solid: Solid) -> float:
+    """Return the highest frequency [Hz] of waves that the mesh resolves.
+
+    At this frequency, the wavelength of the slowest waves in a material equals the longest distance
+    between two vertices of an element of this material. The quadratic shape functions of an element
+    cannot represent waves of higher frequencies. In a body of several materials, the result is the
+    largest of these frequencies.
+    """
+    corners = solid.mesh.p[:, solid.mesh.t]
+    sizes = np.zeros(solid.mesh.nelements)
+    for first, second in combinations(range(corners.shape[1]), 2):
+        distances = np.linalg.norm(corners[:, first] - corners[:, second], axis=0)
+        sizes = np.maximum(sizes, distances)
+    result = 0.0
+    for number, material in enumerate(solid.materials):
+        lengths = sizes[solid.owner == number]
+        if lengths.size:
+            result = max(result, material.slowest_wave_speed / float(lengths.max()))
+    return result
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,8 +236,8 @@ def list_strain_operators(
     """Yield shape functions N, strain operators B and gradients G at each point.
 
     At each integration point of ``basis``, N (elements, l) contains the values of the l local shape
-    functions. G (elements, 3, l) contains the gradients of the shape functions. B (elements, 6, l
-    d) maps nodal displacements to strains.
+    functions. G (elements, 3, l) contains the gradients of the shape functions. The array B of
+    shape (elements, 6, l * d) maps nodal displacements with d components to strains.
     """
     local = [function[0] for function in basis.basis]
     d, axes = solid.component_count, solid.axis_indices
@@ -312,10 +335,10 @@ def _compute_stress_stiffness(
 ) -> np.ndarray:
     """Return the element stiffness due to prestress at one integration point.
 
-    The returned array has the shape (elements, l d, l d). Each displacement component u, with its
-    test function v, contributes ``grad v . sigma0 grad u``, where sigma0 is the prestress. In
-    axisymmetric solids, the hoop prestress sigma0_y adds ``sigma0_y v_r u_r / r^2`` to the
-    stiffness.
+    The returned array has the shape (elements, l * d, l * d), with l nodes per element and d
+    components per node. Each displacement component u, with its test function v, contributes ``grad
+    v . sigma0 grad u``, where sigma0 is the prestress. In axisymmetric solids, the hoop prestress
+    sigma0_y adds ``sigma0_y v_r u_r / r^2`` to the stiffness.
     """
     d, sigma = solid.component_count, np.array(material.residual_stress)
     item = G.transpose(0, 2, 1) @ (sigma[:, None] * G)
@@ -349,9 +372,9 @@ def compute_node_shares(
 def compute_volume_gradient(solid: Solid, facets: np.ndarray) -> np.ndarray:
     """Return the volume displaced by boundary facets per displacement of each node.
 
-    The returned array ``int N n dS`` [m^2] has the shape (d nodes,), where N are the shape
-    functions and n is the outward normal. In axisymmetric solids, the integrals cover the full
-    revolution.
+    The returned array ``int N n dS`` [m^2] has the shape (d * nodes,), with d components per node.
+    N are the shape functions, and n is the outward normal. In axisymmetric solids, the integrals
+    cover the full revolution.
     """
     basis = solid.make_facet_basis(facets, FACE_QUADRATURE)
     radius = np.asarray(basis.global_coordinates())[0]

@@ -18,17 +18,17 @@ import scipy
 from kc2spice.core.errors import MissingToolError, SimulationError, UsageError
 from kc2spice.core.gmsh_session import gmsh_session
 from kc2spice.core.memory import find_available_bytes
-from kc2spice.linalg.processor import use_fast_kernels
+from kc2spice.linalg.openblas_kernels import use_fast_kernels
 from kc2spice.linalg.solver import (
     DirectSolver,
     factorise_with_solver,
-    get_supplied_solver,
+    get_selected_solver,
     solve_with_factor,
 )
 
 USABLE_MEMORY_SHARE = 0.9
 # Number of entries of the LU factors of n equations, divided by n sqrt(bandwidth), for solids.
-# The corresponding number is 4 for chains and 9 for plates.
+# For chains, the number of LU entries divided by n sqrt(bandwidth) is 4; for plates, it is 9.
 FILL_FACTOR = 34.0
 REAL_BYTES = 12.0  # memory [B] of a real entry of a factor: its value and half of its index
 ENTRY_BYTES = 24.0  # memory [B] of a complex entry of a factor: its value, index and work space
@@ -74,7 +74,7 @@ def require_memory_for_factors(
     # The first check uses the number of rows as an upper limit of the bandwidth.
     # Computing the bandwidth would take as long as assembling the matrix.
     if (
-        get_supplied_solver() is not None
+        get_selected_solver() is not None
         or size * FILL_FACTOR * rows**1.5 <= USABLE_MEMORY_SHARE * find_available_bytes()
     ):
         return
@@ -218,9 +218,9 @@ def factorise(
     larger bandwidth, a supernodal Cholesky factor is computed. All other matrices are factorised by
     :func:`factorise_two_sided`.
 
-    ``order`` is an elimination order, for example of a matrix with a similar sparsity pattern. By
-    default, the function searches for an order. A solver that the user supplies is used for a
-    definite matrix only if the solver counts negative eigenvalues.
+    ``order`` is an elimination order, for example of a matrix with a similar sparsity pattern. If
+    ``order`` is None, the function computes an elimination order of the unknowns. A solver that the
+    user supplies is used for a definite matrix only if the solver counts negative eigenvalues.
 
     Raises
     ------
@@ -228,7 +228,7 @@ def factorise(
     """
     if not definite:
         return factorise_two_sided(matrix, symmetric=True)[0]
-    solver = get_supplied_solver()
+    solver = get_selected_solver()
     if (
         solver is not None
         and (factor := _factorise_definite_with_solver(solver, matrix)) is not None
@@ -244,18 +244,21 @@ def factorise(
             order = find_elimination_order(matrix) if order is None else order
             apply = factorise_supernodal(matrix, order)
     except (np.linalg.LinAlgError, RuntimeError) as error:
-        raise _make_indefinite_error(str(error)) from error
+        raise make_indefinite_error(str(error)) from error
     return Factor(matrix, apply, order, negative=0)
 
 
-def _make_indefinite_error(got: str) -> SimulationError:
+SUPPORTS_HINT = "check that the supports of the model prevent all rigid-body modes"
+
+
+def make_indefinite_error(got: str, hint: str = SUPPORTS_HINT) -> SimulationError:
     """Return the error for a matrix that has no Cholesky factor."""
     return SimulationError(
         "the matrix of the equations cannot be factorised",
         where="direct solver",
         got=got,
         expected="positive definite",
-        hint="check that the supports of the model prevent all rigid-body modes",
+        hint=hint,
     )
 
 
@@ -271,7 +274,7 @@ def _factorise_definite_with_solver(
     if negative is None:
         return None
     if negative:
-        raise _make_indefinite_error(f"{negative} negative eigenvalues")
+        raise make_indefinite_error(f"{negative} negative eigenvalues")
     return Factor(matrix, lambda rhs: solve_with_factor(supplied, matrix, rhs), negative=0)
 
 
@@ -300,7 +303,7 @@ def factorise_quasi_definite(matrix: scipy.sparse.csc_array) -> Factor:
     ------
     SimulationError : the matrix is singular.
     """
-    order = find_elimination_order(matrix) if get_supplied_solver() is None else None
+    order = find_elimination_order(matrix) if get_selected_solver() is None else None
     if order is not None:
         minus = matrix.diagonal() < 0
         trial = np.random.default_rng(0).standard_normal(matrix.shape[0])
@@ -330,7 +333,7 @@ def factorise_two_sided(matrix: scipy.sparse.csc_array, *, symmetric: bool) -> P
     SimulationError : the matrix is singular.
     """
     matrix = scipy.sparse.csc_array(matrix)
-    solver = get_supplied_solver()
+    solver = get_selected_solver()
     if solver is not None:
         return _factorise_pair_with_solver(solver, matrix, symmetric)
     trial = np.random.default_rng(0).standard_normal((matrix.shape[0], 1))
@@ -449,7 +452,7 @@ def _group_unknowns(matrix: scipy.sparse.csc_array) -> tuple[np.ndarray, np.ndar
 
 
 def _order_graph(edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the nodes of a graph and their positions in an elimination order.
+    """Order the nodes of a graph for elimination; return nodes and their positions.
 
     ``edges`` (m, 2) contains the edges of the graph. METIS in gmsh orders only the nodes of meshes,
     so each edge of the graph becomes a line element.

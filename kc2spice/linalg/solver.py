@@ -47,12 +47,13 @@ def use_solver(solver: DirectSolver | str | None) -> Iterator[None]:
     """Use a direct solver for all factorisations within this context.
 
     The name ``"pardiso"`` selects :class:`kc2spice.linalg.pardiso.Pardiso`. If ``solver`` is None,
-    the solver of the enclosing context remains selected. Without an enclosing context, this solver
-    is the built-in solver.
+    the solver of the enclosing context remains selected. If ``solver`` is None and there is no
+    enclosing context, the built-in solver is used.
 
     Raises
     ------
-    UsageError : ``solver`` is not a function, a class or the name of a solver.
+    UsageError : raised if ``solver`` is neither a function or class nor the name of a direct
+        solver.
     MissingToolError : the library of the solver is not installed.
     """
     if solver is None:
@@ -88,12 +89,18 @@ def require_solver(name: str | None, where: str) -> str | None:
         name.
     """
     if name is not None and name not in SOLVERS:
-        raise unknown("this direct solver does not exist", name, SOLVERS, where)
+        raise unknown(
+            "this direct solver does not exist",
+            name,
+            SOLVERS,
+            where,
+            advice=f"leave out {where}, so that the built-in solvers are used",
+        )
     return name
 
 
-def get_supplied_solver() -> DirectSolver | None:
-    """Return the selected solver of the user, or None for the built-in solvers."""
+def get_selected_solver() -> DirectSolver | None:
+    """Return the direct solver that the user selected, or None for built-in solvers."""
     return _supplied.get()
 
 
@@ -117,7 +124,7 @@ def factorise_with_solver(solver: DirectSolver, matrix: Any) -> Factorisation:
 
 
 def solve_with_factor(factor: Factorisation, matrix: Any, rhs: np.ndarray) -> np.ndarray:
-    """Solve for right-hand sides (n,) or (n, k) with a factor of the user's solver.
+    """Solve for right-hand sides (n,) or (n, k) with the user's factorised matrix.
 
     Raises
     ------

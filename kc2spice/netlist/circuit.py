@@ -10,7 +10,7 @@ from typing import TypeVar
 
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.expression import Tree, find_probed_names, parse_expression
-from kc2spice.netlist.spelling import format_number
+from kc2spice.netlist.number_and_name_spelling import format_number
 
 SMALLEST_POSITIVE = 1e-30  # smallest accepted value of a parameter that must be positive
 # Number of nodes of each element except X, keyed by element letter.
@@ -84,8 +84,9 @@ class Element(Card):
         name : str
             Name of the element. The first letter of the name determines the kind of the element.
         *words : str or float
-            Words after the name. The function :func:`kc2spice.netlist.spelling.format_number`
-            converts numbers to text.
+            Words after the name, as text or as numbers. The function
+            :func:`kc2spice.netlist.number_and_name_spelling.format_number` converts the numbers to
+            text.
         **parameters : str
             Assignments after the words.
 

@@ -15,13 +15,13 @@ from kc2spice.core.errors import UsageError
 from kc2spice.netlist.card_parser import OPTION_CARDS, read_cards
 from kc2spice.netlist.circuit import Circuit, Directive, Element, Item, select_items
 from kc2spice.netlist.expression import parse_literal, split_terms
-from kc2spice.netlist.library import Subcircuit
-from kc2spice.netlist.powers import PowerTerm
+from kc2spice.netlist.name_scopes import Scope
+from kc2spice.netlist.name_scopes import build_scope as scoped
+from kc2spice.netlist.number_and_name_spelling import format_comment, format_number, format_rounded
+from kc2spice.netlist.power_waveforms import PowerTerm
 from kc2spice.netlist.printers.ngspice import Printer, locate_cards
-from kc2spice.netlist.scope import Scope
-from kc2spice.netlist.scope import build_scope as scoped
 from kc2spice.netlist.shared_cards import Line, attach_comments
-from kc2spice.netlist.spelling import format_comment, format_number, format_rounded
+from kc2spice.netlist.subcircuit_library import Subcircuit
 
 ANALYSES = frozenset((".tran", ".ac", ".dc", ".op", ".noise"))
 
@@ -84,7 +84,8 @@ class MeasureCard:
     """``.meas`` card for one kind of analysis, with a conversion factor to SI units.
 
     The ``words`` follow the name of the measurement. For an ``op`` analysis, no ``.meas`` card is
-    written. The only word of an ``op`` measurement is the name of the vector that the deck prints.
+    written. The ``words`` of an ``op`` measurement contain only the name of the vector that the
+    deck prints.
     """
 
     name: str
@@ -154,8 +155,8 @@ def make_dc_command(source: str, first: float, last: float, points: int) -> Anal
     """Return a ``.dc`` command that sweeps the value of a source.
 
     The limits ``first`` and ``last`` are in the unit of the source (V or A). The command states an
-    end that is a quarter of a step beyond ``last``. Otherwise, accumulated rounding errors of the
-    simulator could omit the last point.
+    end that is a quarter of a step beyond ``last``. If the end were exactly ``last``, accumulated
+    rounding errors of the simulator could omit the last point.
 
     Raises
     ------
@@ -181,14 +182,15 @@ class Deck:
 
     ``parts`` are the subcircuits, each in a library file. ``vectors`` maps the name of each result
     to an ngspice expression and to the factor that converts the expression to SI units. ``units``
-    contains the SI unit of each result. ``powers`` contains the terms of the results that are
-    powers.
+    contains the SI unit of each result. ``powers`` maps the name of each computed power [W] to the
+    terms whose sum is the power.
 
     In a transient, ``stop`` is the last time point [s] and ``max_step`` the largest time step [s].
-    ``refinements`` are further analyses of the same kind as ``command``. The points of ``command``
-    and ``refinements`` are merged. In a dc analysis, ``sweep_scale`` volts or amperes of the source
-    correspond to one SI unit of the swept key. ``measures`` are measurements that the simulator
-    evaluates and prints, for users who save no raw file.
+    ``step_reason`` is the reason for the largest time step, unless the user has chosen the step.
+    ``refinements`` are further analyses of the same kind as ``command``. The frequency points of
+    the analyses ``command`` and ``refinements`` are merged. In a dc analysis, ``sweep_scale`` volts
+    or amperes of the source correspond to one SI unit of the swept key. ``measures`` are
+    measurements that the simulator evaluates and prints, for users who save no raw file.
 
     If the user has written the deck, ``text`` is the text of the deck, ``tree`` its syntax tree if
     known, and ``more`` contains the included files. If ``may_have_loop`` is true, a controller may
@@ -210,6 +212,7 @@ class Deck:
     measures: tuple[MeasureCard, ...] = ()
     stop: float | None = None
     max_step: float | None = None
+    step_reason: str = ""
     initial_voltages: Mapping[str, float] = field(default_factory=dict)
     refinements: tuple[AnalysisCommand, ...] = ()
     sweep_scale: float = 1.0
@@ -347,7 +350,7 @@ class Deck:
         yield from self._write_measures(
             "" if usage != self._usage_comment else ", which ngspice prints without -r"
         )
-        yield from self._print_cards
+        yield from self._print_card_lines
         yield Directive(".end")
 
     @property
@@ -375,7 +378,7 @@ class Deck:
     def _write_measures(self, printed: str) -> Iterator[Line]:
         """Yield a title comment and the measurement cards that suit the analysis.
 
-        The comment ends with the text ``printed``.
+        The argument ``printed`` is the text at the end of the title comment.
         """
         cards = list(chain.from_iterable(map(attrgetter("cards"), self._available_measures)))
         if cards:
@@ -383,8 +386,8 @@ class Deck:
         yield from cards
 
     @property
-    def _print_cards(self) -> Iterator[Line]:
-        """``.print`` card of the deck, below comments that convert its values to SI units."""
+    def _print_card_lines(self) -> Iterator[Line]:
+        """Lines of the ``.print`` card, below comments that state factors to SI units."""
         columns = []
         for row in self._available_measures if self.command.kind == "op" else ():
             yield f"* {row.name} in SI units is {format_number(row.factor)} times {row.words[0]}"
@@ -393,7 +396,11 @@ class Deck:
         yield Directive(".print", (self.command.kind, *dict.fromkeys(columns)))
 
     def with_command(self, command: AnalysisCommand) -> Deck:
-        """Return the deck with another analysis, without refinements."""
+        """Return a copy of the deck in which ``command`` replaces the analysis command.
+
+        The returned deck has no ``refinements``, because these further analyses belong to the old
+        command.
+        """
         if self.text is None:
             return replace(self, command=command, refinements=())
         items = self._parsed_text.items

@@ -8,7 +8,6 @@ from typing import Any
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.expression import join_terms, split_terms
-from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.printers.dialect_registry import (
     NGSPICE,
     VERILOG_A,
@@ -18,6 +17,7 @@ from kc2spice.netlist.printers.dialect_registry import (
 from kc2spice.netlist.printers.kicad import make_project
 from kc2spice.netlist.printers.ngspice import locate_cards
 from kc2spice.netlist.printers.verilog_a import format_module, make_testbench
+from kc2spice.netlist.subcircuit_library import Subcircuit
 
 
 def translate_deck(deck: Deck, dialect: str) -> Deck:
@@ -80,10 +80,11 @@ def write_symbol_files(deck: Deck, dialect: str = "ngspice") -> dict[str, str]:
     """Return the texts of the symbol files and their libraries, keyed by file name.
 
     The caller writes the texts to the disk. A symbol file contains the graphical symbol of a part
-    for a schematic editor. For ngspice, the files are a KiCad project of the deck, symbols for all
-    other simulators, and their libraries ``NAME.DIALECT.lib``. For another dialect, the files are
-    the symbols for its simulator, which use the libraries ``NAME.lib``. For Verilog-A, the result
-    is empty. A part of the user that only ngspice can simulate has no symbols for other simulators.
+    for a schematic editor. An export for ngspice contains a KiCad project of the deck. An export
+    for ngspice also contains the part symbols for every other simulator, and the libraries
+    ``NAME.DIALECT.lib`` that these symbols use. For another dialect, the files are the symbols for
+    its simulator, which use the libraries ``NAME.lib``. For Verilog-A, the result is empty. A
+    user-defined part that only ngspice can simulate has no symbols for other simulators.
 
     Raises
     ------

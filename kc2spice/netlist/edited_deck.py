@@ -1,20 +1,22 @@
 """Decks that a user has edited, and their differences from the deck of a scene.
 
 The input is the deck of a scene and the edited file. The output is a list of the parameters, cards
-and options that differ. The module :mod:`kc2spice.workflow.edited_parts` applies these differences
-to the parts of the scene.
+and options that differ between the edited file and the deck of the scene. The module
+:mod:`kc2spice.workflow.parts_from_edited_deck` applies these differences to the parts of the scene.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from operator import attrgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from kc2spice.core.errors import MAX_CANDIDATES, UsageError
+from kc2spice.core.untrusted_files import reject_toml_file
 from kc2spice.netlist.card_parser import Statement, build_tree
 from kc2spice.netlist.circuit import Element
 from kc2spice.netlist.deck import AnalysisCommand, Deck
@@ -26,8 +28,8 @@ from kc2spice.netlist.include_scan import (
     read_checked_circuit,
     reject_side_effects,
 )
+from kc2spice.netlist.name_scopes import Scope, has_vector
 from kc2spice.netlist.printers.ngspice import Printer
-from kc2spice.netlist.scope import Scope, has_vector
 
 
 class ParameterEdit(NamedTuple):
@@ -68,19 +70,22 @@ class DeckEdits:
     ----------
     deck : Deck
         The edited deck with the results of the scene.
+    analysis : str or None
+        The analysis card of the edited deck if it differs from the analysis of the scene.
     options : mapping of str to tuple of two texts or None
-        Old and new value of each accuracy option that differs. The text is None for the default
-        value.
+        Old and new value of each accuracy option that differs. The default value of an option is
+        None.
     cards : mapping of str to str
-        Description of each difference. The key is the name of a part whose cards differ, of a new
-        card, or of an instance with other nodes. For a part whose cards differ, the scene keys no
-        longer describe the deck.
+        Description of each part whose cards differ, of each new card, and of each instance with
+        other nodes. Each description is keyed by the name of its part, card or instance. For a part
+        whose cards differ, the scene keys no longer describe the deck.
     instances : mapping of str to InstanceEdit
         Differences of each instance that exists in both decks, keyed by instance name in lower
         case.
     """
 
     deck: Deck
+    analysis: str | None
     options: Mapping[str, tuple[str | None, str | None]]
     cards: Mapping[str, str]
     instances: Mapping[str, InstanceEdit]
@@ -98,13 +103,7 @@ def read_edited_deck(original: Deck, path: Path) -> DeckEdits:
         the meaning of the parts, the analysis differs from the scene's analysis, or a required
         vector is not saved or does not exist.
     """
-    if path.suffix == ".toml":
-        raise UsageError(
-            "this file is a TOML file, not a netlist",
-            where=str(path),
-            expected="a netlist that kc2spice export or kc2spice run wrote",
-            hint=f"kc2spice run {path} runs a scene",
-        )
+    reject_toml_file(path, "a netlist that kc2spice export or kc2spice run wrote")
     if not path.exists():
         raise UsageError(
             "this file does not exist",
@@ -132,6 +131,7 @@ def read_edited_deck(original: Deck, path: Path) -> DeckEdits:
     _require_results(original.scope, deck, path, original.name)
     return DeckEdits(
         deck,
+        None if _has_equal_words(original.command.card, analysis) else analysis.written,
         _compare_options(original, cards),
         _compare_cards(original.scope, deck.scope),
         _compare_instances(original.scope, deck.scope),
@@ -146,7 +146,10 @@ def _require_analysis(original: Deck, cards: Iterable[Statement], path: Path) ->
     UsageError : the deck contains several analyses, or an analysis that differs from the
         ``original``.
     """
+    cards = list(cards)
     analyses = [card for card in cards if card.keyword in ANALYSES]
+    if not analyses and any(card.keyword == ".subckt" for card in cards):
+        _require_top_level_elements(original, cards, path)
     if list(map(attrgetter("keyword"), analyses)) != [f".{original.command.kind}"]:
         raise UsageError(
             "the analysis of this deck differs from that of the scene"
@@ -162,6 +165,43 @@ def _require_analysis(original: Deck, cards: Iterable[Statement], path: Path) ->
     return analyses[0]
 
 
+def _require_top_level_elements(original: Deck, cards: Iterable[Statement], path: Path) -> None:
+    """Reject a library: a file in which all elements are inside of subcircuits.
+
+    Raises
+    ------
+    UsageError : the file has no element outside of its subcircuits.
+    """
+    depth = 0
+    for card in cards:
+        depth += (card.keyword == ".subckt") - (card.keyword == ".ends")
+        if depth == 0 and not card.keyword.startswith("."):
+            return
+    deck = path.with_name(original.main_file_name)
+    raise UsageError(
+        "this file is a library of subcircuits, not a deck",
+        where=str(path),
+        got="subcircuits only, without an analysis",
+        expected=f"the netlist of the scene, such as {original.main_file_name}",
+        hint=f"give the deck that includes this library: --deck {deck}"
+        if deck.is_file()
+        else f"kc2spice export {original.name}  writes a deck of this scene to edit",
+    )
+
+
+def _has_equal_words(card: str, analysis: Statement) -> bool:
+    """Return whether two analysis cards have the same words and equal numbers."""
+
+    def parse_word(word: str) -> float | str:
+        """Return a word as a number, or otherwise in lower case."""
+        with suppress(UsageError):
+            number = parse_literal(word)
+            return word.lower() if number is None else number
+        return word.lower()
+
+    return list(map(parse_word, card.split())) == list(map(parse_word, analysis.words))
+
+
 def _require_saved_vectors(original: Deck, cards: Iterable[Statement], path: Path) -> None:
     """Reject a deck whose ``.save`` cards omit a vector of the scene's results.
 
@@ -174,6 +214,19 @@ def _require_saved_vectors(original: Deck, cards: Iterable[Statement], path: Pat
         if card.keyword == ".save":
             saved.update(map(parse_vector, map(str.lower, card.words[1:])))
     missing = [name for name in original.saved_vectors if parse_vector(name.lower()) not in saved]
+    if not saved:  # ngspice then saves only node voltages and currents of voltage sources
+        saved.add(parse_vector("all"))
+        devices = [name for name in missing if name.startswith("@")]
+        if devices:
+            hint = "add this line to the deck: .save all " + " ".join(devices)
+            raise UsageError(
+                "this deck has no line .save, but the scene's metrics need currents of devices",
+                where=str(path),
+                got="no .save",
+                expected=f"a line .save with {', '.join(devices[:MAX_CANDIDATES])}"
+                f"{', …' if len(devices) > MAX_CANDIDATES else ''}",
+                hint=hint,
+            )
     if saved and parse_vector("all") not in saved and len(missing) == len(original.saved_vectors):
         raise UsageError(
             "this deck is not a deck of this scene",
@@ -193,7 +246,7 @@ def _require_saved_vectors(original: Deck, cards: Iterable[Statement], path: Pat
 
 
 def _read_stop(original: Deck, analysis: Statement) -> float | None:
-    """Return the end time [s] of a transient; None for any other analysis.
+    """Return the end time [s] of a transient, or None for any other analysis.
 
     Raises
     ------
@@ -211,7 +264,7 @@ def _read_stop(original: Deck, analysis: Statement) -> float | None:
 
 
 def _read_max_step(original: Deck, analysis: Statement) -> float | None:
-    """Return the largest step [s] of a transient; None if the card states no step."""
+    """Return the largest step [s] of a transient, or None if the card states no step."""
     words = analysis.words[1:]
     if original.stop is None or len(words) < 4:
         return None
@@ -263,7 +316,7 @@ def _require_results(before: Scope, edited: Deck, path: Path, scene_name: str) -
 
 
 def _require_instances(before: Scope, now: Scope, path: Path) -> None:
-    """Reject a deck that lacks the instance of a part and has no new cards.
+    """Reject a deck that lacks the instance of a part, unless the deck has new cards.
 
     Raises
     ------
@@ -271,7 +324,7 @@ def _require_instances(before: Scope, now: Scope, path: Path) -> None:
     """
     old, new = before.elements_by_key, now.elements_by_key
     if new.keys() - old.keys():
-        return  # new cards may replace a missing card
+        return  # a missing card is no error, because the new cards may replace it
     for key in old.keys() - new.keys():
         if old[key].kind == "x":
             name = old[key].name
@@ -304,10 +357,10 @@ def _compare_options(
 
 
 def _compare_cards(before: Scope, now: Scope) -> dict[str, str]:
-    """Return a description of each changed card, keyed by the part of the card.
+    """Return a description of each changed card, keyed by the part that owns the card.
 
-    The descriptions are keyed by part. Differences in the parameters of an instance, or in its
-    subcircuit, are ignored.
+    A card that belongs to no part is keyed by its own name. Edits of an instance's parameters or
+    subcircuit are not described, because :func:`_compare_instances` returns them.
     """
     old, new = before.elements_by_key, now.elements_by_key
     result = {}
@@ -327,9 +380,9 @@ def _compare_cards(before: Scope, now: Scope) -> dict[str, str]:
 
 
 def _format_without_nodes(card: Element) -> str:
-    """Return the text of an element without nodes.
+    """Return the text of an element's card with the node names omitted.
 
-    The text of an instance also contains no parameters.
+    The parameters of a subcircuit instance are omitted, too.
     """
     plain = replace(card, nodes=())
     return normalise_element(replace(plain, parameters={}) if card.kind == "x" else plain)

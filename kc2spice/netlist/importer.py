@@ -41,7 +41,7 @@ from kc2spice.netlist.expression import (
     parse_expression,
     parse_literal,
 )
-from kc2spice.netlist.spelling import split_infix_unit
+from kc2spice.netlist.number_and_name_spelling import split_infix_unit
 
 # Ohm, series resistance of an uncoupled inductor without the setting ``Rser`` (LTspice help, L)
 INDUCTOR_RESISTANCE = "1m"
@@ -71,7 +71,7 @@ _LOGICAL_OPERATORS = ("&&", "||")
 _PARALLEL_PARASITICS = frozenset(("rpar", "cpar"))
 # letters of elements whose measured current flows into the first node
 _METERED_KINDS = frozenset("bcdefghilrv")
-_MAX_COMMENT = 98  # number of characters of a comment line
+_MAX_COMMENT = 98  # largest number of characters of a comment line; longer comments are shortened
 _MAX_PRODUCT_POWER = 9  # largest integer exponent of a power that is written as a product
 _SETTING = re.compile(r"\s(\w+)\s*=(?!=)")
 _NUMBER_IN_TABLE = re.compile(r"[^\s,(){}=]+")
@@ -138,7 +138,7 @@ class _CircuitTranslator:
         coupled = (element.sources for element in elements if element.kind == "k")
         self.coupled = {name.lower() for names in coupled for name in names}
         self.elements = {element.key: element for element in elements}
-        # names of ammeters, keyed by the elements with a current that occurs in an expression
+        # name of the ammeter for each element whose current occurs in an expression
         self.metered: dict[str, str] = {}
 
     def translate(self) -> Circuit:
@@ -171,7 +171,7 @@ class _CircuitTranslator:
         return _ExpressionTranslator(card, self).translate(text)
 
     def _translate_item(self, item: Item) -> Iterable[Item]:
-        """Translate an item to one or more ngspice items."""
+        """Translate a netlist item, such as an element, to one or more ngspice items."""
         match item:
             case Circuit():
                 return (
@@ -312,7 +312,7 @@ class _CircuitTranslator:
         return element
 
     def _translate_resistor(self, element: Element) -> Element:
-        """Translate a resistor whose resistance is an expression to a current source."""
+        """Return a current source that replaces a resistor with a resistance expression."""
         law = self._translate_expression(element.settings["r"].strip("{}'"), element)
         plus, minus = element.nodes
         current = f"V({plus},{minus})/({law})"
@@ -357,7 +357,8 @@ def _add_meter(element: Element, group: Iterable[Item], meter: str) -> Iterator[
     plus, inner = element.nodes[0], f"{element.name}_metered"
     yield _make_parallel_element(element, meter, plus, inner, "0")
     for item in group:
-        assert isinstance(item, Element)  # the translation of an element has no other items
+        # An element is translated into one or several elements, and into no other netlist items.
+        assert isinstance(item, Element)
         yield replace(item, nodes=tuple(inner if node == plus else node for node in item.nodes))
 
 

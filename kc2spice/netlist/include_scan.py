@@ -9,14 +9,15 @@ Only known commands, element letters, options and file names are allowed. The te
 the user trusts is not changed.
 
 The file of a part may define only subcircuits, because every other card affects the whole deck. For
-example, a definition of the function ``max`` affects all cards that call ``max``. An option affects
-the accuracy of the whole run. An element outside of subcircuits is connected to deck nodes with the
-same names.
+example, a definition of the function ``max`` affects all cards that call ``max``. An option in the
+file of a part would affect the accuracy of the whole run, and is therefore rejected. The node names
+of an element outside of subcircuits denote the nodes of the deck that have these names.
 """
 
 from __future__ import annotations
 
 import re
+import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from operator import attrgetter
@@ -38,7 +39,7 @@ from kc2spice.netlist.card_parser import (
     split_statements,
 )
 from kc2spice.netlist.expression import BUILT_IN_NAMES, FUNCTIONS
-from kc2spice.netlist.spelling import format_comment
+from kc2spice.netlist.number_and_name_spelling import format_comment
 
 # largest number of bytes in a file, and of characters in the merged text
 MAX_CIRCUIT_BYTES = 4_000_000
@@ -282,7 +283,7 @@ _NETLIST_SUFFIXES = (".lib", ".cir", ".net", ".sub", ".mod", ".sp")
 
 
 def _is_missing(path: Path) -> bool:
-    """Return whether no file exists at a path; False for an impossible file name."""
+    """Return whether a path is valid and no file exists there."""
     try:
         return not path.is_file()
     except (OSError, ValueError):
@@ -313,10 +314,10 @@ def make_forbidden_line_error(reason: str, path: Path, where: str, text: str) ->
     read = "read the file; if you trust every line, repeat the command with --trust"
     hint = f"write  .include {library[1]}" if library else read
     return UsageError(
-        f"the included circuit {reason}",
+        f"the netlist {reason}",
         where=f"{path} ({where})" if where not in str(path) else str(path),
         got=text[:120],
-        expected="subcircuits, models, parameters and elements only",
+        expected="subcircuits, models, parameters, elements and accuracy options only",
         hint=hint,
     )
 
@@ -362,6 +363,10 @@ _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+[A-Za-z]*")
 _ASSIGNED_COMMA = re.compile(r"=\s*([+-]?\d+,\d+[A-Za-z]*)(?=[\s)]|$)")
 _PLAIN_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?", re.IGNORECASE)
 _SCALE_FACTOR = re.compile(r"(t|g|meg|k|m|u|µ|n|p|f)?(ohm|ohms|f|farad|h|henry)?", re.IGNORECASE)
+# number with the suffix M in upper case, which users of other programs read as mega
+_UPPER_CASE_M = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+))M(?:[Oo]hms?|Hz)?")
+_SINE_FREQUENCY = re.compile(r"(?i)\bsine?\s*\(\s*\S+\s+\S+\s+([\w.]+)")
+_ASSIGNMENT = re.compile(r"(\w+)\s*=\s*([\w.]+)")
 _LAPLACE_LAW = re.compile(r"(?i)(?<![\w.])laplace\s*[={(]")
 _PART_FILE_CONTENT = "a file of subcircuits with their models, parameters and functions"
 
@@ -373,22 +378,61 @@ def reject_side_effects(cards: Iterable[Statement], *, part: bool) -> None:
     ------
     UsageError : a card defines a global node, or redefines a built-in function or constant. In a
         part file, these cards are also rejected: analyses, outputs, temperatures, options that
-        affect results, and elements or initial conditions outside of subcircuits. In a deck,
-        results at interpolated times are also rejected. The error contains file and line of the
-        card.
+        affect results, and elements or initial conditions outside of subcircuits. In a deck, the
+        option ``interp`` is also rejected, because it removes time points from the results. The
+        error contains file and line of the card.
     """
     depth, commands = 0, False
+    cards = list(cards)
+    _warn_of_milli(cards)
     for card in cards:
         key = card.keyword
         if commands or key == ".control":  # only trusted netlists contain control blocks
             commands = key != ".endc"
             continue
         depth += (key == ".subckt") - (key == ".ends")
-        for what, expected, hint in _find_deck_effects(card, depth == 0, part):
+        for what, expected, hint in _list_card_problems(card, depth == 0, part):
             raise card.make_error(f"the netlist {what}", card.written[:120], expected, hint)
 
 
-def _find_deck_effects(
+def _warn_of_milli(cards: Iterable[Statement]) -> None:
+    """Warn about resistances and frequencies with the suffix M, which means milli.
+
+    A netlist without lower-case letters has no other spelling of milli, and causes no warning.
+    """
+    cards = [card for card in cards if not card.keyword.startswith(".end")]
+    if not any(map(re.compile("[a-z]").search, map(attrgetter("written"), cards))):
+        return
+    for card in cards:
+        for value in _list_mega_candidates(card):
+            if number := _UPPER_CASE_M.fullmatch(value):
+                warnings.warn(
+                    f"{card.where}: ngspice reads {value} as {number[1]} milli, in the line "
+                    f"{card.written[:120]}: write {number[1]}meg if you mean mega, or "
+                    f"{number[1]}m if you mean milli",
+                    stacklevel=2,
+                )
+
+
+def _list_mega_candidates(card: Statement) -> Iterator[str]:
+    """Yield the values of a card that are probably resistances or frequencies.
+
+    The value of a parameter is yielded if the parameter's name begins with R or F.
+    """
+    key, words = card.keyword, card.words
+    if key.startswith("r"):
+        yield from words[3:4]
+    if key == ".ac":
+        yield from words[3:]
+    if sine := _SINE_FREQUENCY.search(card.written):
+        yield sine[1]
+    if key in (".param", ".params") or key[:1] in ("r", "x"):
+        for name, value in _ASSIGNMENT.findall(card.written):
+            if name[0] in "rRfF":
+                yield value
+
+
+def _list_card_problems(
     card: Statement, outside: bool, part: bool
 ) -> Iterator[tuple[str, str, str]]:
     """Yield each problem of a card as a description, the expected text and a remedy."""
@@ -449,7 +493,7 @@ def _find_separate_suffix(card: Statement) -> tuple[str, str] | None:
 
 
 def _find_decimal_comma(card: Statement) -> str:
-    """Return a number with a decimal comma on a card; empty without one.
+    """Find a number with a decimal comma on a card; return no text if there is none.
 
     The simulator reads a number with a decimal comma as two numbers.
     """
@@ -553,6 +597,7 @@ def read_checked_circuit(
             raise make_forbidden_line_error(reason, path, line.where, quotation)
     for card in result.cards():
         _require_known_command(card)
+        _require_known_options(card)
         for reason in _find_card_faults(card):
             raise make_forbidden_line_error(reason, path, card.where, card.written)
     return result
@@ -591,8 +636,8 @@ def read_untrusted_netlist(name: str, home: Path) -> FlatCircuit:
 
     Raises
     ------
-    UsageError : the errors of :func:`read_included_netlist`, except for lines that could execute
-        programs.
+    UsageError : the errors of :func:`read_included_netlist`. Lines that could execute programs are
+        read without an error, because the function does not run the netlist.
     """
     path = home / name
     if _is_missing(path):
@@ -623,7 +668,9 @@ def _find_line_faults(text: str) -> Iterator[str]:
 def _require_known_command(card: Statement) -> None:
     """Reject commands that are misspelt or that only LTspice has.
 
-    The caller rejects all other unknown commands, because they could run programs.
+    The function raises no error for an unknown command that is neither misspelt nor from LTspice.
+    Afterwards, :func:`_find_card_faults` reports every unknown command, because unknown commands
+    could run programs.
 
     Raises
     ------
@@ -638,6 +685,25 @@ def _require_known_command(card: Statement) -> None:
     if hint is not None:
         expected = f"one of {list_candidates(key, sorted(ALLOWED_COMMANDS))}"
         raise card.make_error(f"ngspice has no command {key}", card.written[:120], expected, hint)
+
+
+def _require_known_options(card: Statement) -> None:
+    """Reject misspelt options, such as ``reltl`` for ``reltol``.
+
+    Raises
+    ------
+    UsageError : the card sets an option whose name is similar to that of an accuracy option.
+    """
+    for word in card.words[1:] if card.keyword in OPTION_CARDS else ():
+        name = word.partition("=")[0].lower()
+        suggestion = did_you_mean(name, sorted(ALLOWED_OPTIONS))
+        if name not in ALLOWED_OPTIONS and suggestion:
+            raise card.make_error(
+                f"the option {name} does not exist",
+                card.written[:120],
+                f"one of {list_candidates(name, sorted(ALLOWED_OPTIONS))}",
+                suggestion,
+            )
 
 
 def _find_card_faults(card: Statement) -> Iterator[str]:

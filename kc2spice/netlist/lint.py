@@ -22,9 +22,9 @@ from kc2spice.netlist.expression import (
     parse_expression,
     walk_tree,
 )
-from kc2spice.netlist.library import parse_declared_pins
-from kc2spice.netlist.scope import GROUND_NAMES, Scope, build_scope, find_instance
-from kc2spice.netlist.spelling import split_infix_unit
+from kc2spice.netlist.name_scopes import GROUND_NAMES, Scope, build_scope, find_instance
+from kc2spice.netlist.number_and_name_spelling import split_infix_unit
+from kc2spice.netlist.subcircuit_library import parse_declared_pins
 
 _ODD_NUMBERS = tuple(map(Number, ("1", "3", "5", "7", "9")))
 # Usual model type of each element letter, for the advice in errors.
@@ -35,7 +35,7 @@ _PARASITIC_ELEMENTS = {"rser": "R in series", "lser": "L in series", "rpar": "R 
 
 
 def require_valid_wiring(deck: Deck) -> None:
-    """Raise an error for the first wiring mistake, with the number of the others.
+    """Raise an error for the first wiring mistake; state how many mistakes follow.
 
     Raises
     ------
@@ -201,8 +201,9 @@ def _check_expression(
 ) -> Iterator[UsageError]:
     """Yield the mistakes in an expression: unknown names, nodes and sources.
 
-    ``kinds`` contains the known nodes (``v``) and sources (``i``). In the expression of a
-    behavioural source, functions that ngspice lacks and odd powers are mistakes too.
+    ``kinds`` contains the known nodes (``v``) and sources (``i``). In a behavioural source, a
+    function that ngspice lacks is also a mistake. A power with an odd exponent is a mistake too,
+    because ngspice replaces the base by its absolute value.
     """
     law = isinstance(card, Element) and text is card.expression
     try:
@@ -260,11 +261,15 @@ def _check_connections(
                 continue
             pin = pins.get(position, str(position + 1))
             if (part.model.lower(), pin) not in signals:
+                near = difflib.get_close_matches(node, uses.keys() - {node}, 1)
                 yield part.make_error(
                     f"floating port: nothing else is wired to node {node}",
                     f"pin {pin} of {part.name}",
-                    next(iter(difflib.get_close_matches(node, uses.keys() - {node}, 1)), None),
-                    f"wire it; if it is to be free, save v({node}) or call the node nc_{node}",
+                    near[0] if near else None,
+                    f"did you mean {near[0]!r}?"
+                    if near
+                    else f"connect another element to {node}, or rename it to nc_{node} if it is "
+                    "to be free",
                 )
 
 
@@ -278,7 +283,7 @@ def _make_unknown_name_error(
 ) -> UsageError:
     """Make the error about a name that the netlist does not define.
 
-    ``otherwise`` is the advice without a similar known name.
+    ``otherwise`` is the advice if no known name is similar to ``name``.
     """
     expected = f"one of {list_candidates(name, sorted(known))}" if known else None
     similar = difflib.get_close_matches(name.lower(), list(known), 1)

@@ -8,14 +8,15 @@ from __future__ import annotations
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.circuit import make_electrical_pins
 from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.scope import Scope, find_instance
+from kc2spice.netlist.name_scopes import Scope, find_instance
 
 
 def describe_node(deck: Deck, node: str) -> str | None:
     """Describe a node of a deck by the nearest part and pin; None for an unknown node.
 
-    ``node`` has the spelling of ngspice: ``x1.x2.name``, ``b.x1.b2`` for a device, ``v1#branch``
-    for the current of a source. The result is None if the deck does not contain the node.
+    ``node`` has the spelling of ngspice. Examples of ``node`` are ``x1.x2.name`` for a node in a
+    subcircuit, ``b.x1.b2`` for a device, and ``v1#branch`` for the current of a source. The result
+    is None if the deck does not contain the node.
     """
     *path, name = node.lower().partition("#")[0].split(".")
     if path and len(path[0]) == 1:  # ngspice writes the device letter before the instance

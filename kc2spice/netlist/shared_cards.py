@@ -7,9 +7,9 @@ from dataclasses import replace
 from typing import TypeAlias
 
 from kc2spice.netlist.circuit import Element, Item
-from kc2spice.netlist.spelling import format_comment
+from kc2spice.netlist.number_and_name_spelling import format_comment
 
-# A card, or text above a card that consists of comment lines and blank lines.
+# Either a card, or a text with the comment lines and the blank lines above a card.
 Line: TypeAlias = Item | str
 
 _PIVOT_COMMENT = (

@@ -19,10 +19,14 @@ from kc2spice.netlist.circuit import (
 )
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.expression import join_terms, parse_vector, split_terms
-from kc2spice.netlist.library import Subcircuit, write_instance_comment, write_parameter_line
-from kc2spice.netlist.scope import Scope
+from kc2spice.netlist.name_scopes import Scope
+from kc2spice.netlist.number_and_name_spelling import format_number
 from kc2spice.netlist.shared_cards import add_title
-from kc2spice.netlist.spelling import format_number
+from kc2spice.netlist.subcircuit_library import (
+    Subcircuit,
+    write_instance_comment,
+    write_parameter_line,
+)
 
 Parameters = tuple[tuple[str, float], ...]  # ("PART.NAME", value)
 Value = TypeVar("Value")
@@ -51,18 +55,18 @@ def merge_helpers(part: Subcircuit, helpers: Iterable[Subcircuit]) -> Subcircuit
 
 
 def rename_subcircuits(circuit: Circuit, names: Mapping[str, str]) -> Circuit:
-    """Return ``circuit`` with subcircuits renamed by ``names``."""
+    """Rename subcircuits of a circuit; ``names`` maps old names to new names."""
     new_names = key_by_lower_name(names)
 
-    def rename_item(entry: Item) -> Item:
-        """Return a netlist item that uses the new subcircuit names."""
+    def replace_subcircuit_name(entry: Item) -> Item:
+        """Replace the old name of a subcircuit by the new name in a netlist item."""
         if isinstance(entry, Circuit):
             return replace(entry, name=new_names.get(entry.name.lower(), entry.name))
         if isinstance(entry, Element) and entry.kind == "x":
             return replace(entry, model=new_names.get(entry.model.lower(), entry.model))
         return entry
 
-    return circuit.map_items(rename_item)
+    return circuit.map_items(replace_subcircuit_name)
 
 
 # --- new values of the netlist parameters param.PART.NAME ---
@@ -74,10 +78,11 @@ def make_library_stem(part: Subcircuit) -> str:
 
 
 def list_parameterised_subcircuits(part: Subcircuit) -> Iterator[tuple[str, Circuit]]:
-    """Yield pairs of a name for ``param.NAME`` keys and a subcircuit of the library.
+    """Yield pairs of a name and a parameterised subcircuit.
 
-    The main subcircuit has the name of the library file. A helper subcircuit has the same name in
-    all libraries, such as ``opamp`` for an amplifier.
+    In a key ``param.SUBCIRCUIT.PARAMETER``, the yielded name stands for ``SUBCIRCUIT``. The main
+    subcircuit has the name of the library file. A helper subcircuit has the same name in all
+    libraries, such as ``opamp`` for an amplifier.
     """
     for item in part.circuit.subcircuits:
         main = item.name.lower() == part.name.lower()
@@ -185,10 +190,12 @@ def make_array_deck(deck: Deck, count: int) -> Deck:
         )
     if deck.command.kind == "dc":
         raise UsageError(
-            "a dc sweep cannot vary the sources of several copies",
+            "one deck cannot contain several copies of a scene with a dc sweep, because the sweep "
+            "varies only one source",
             where="--count",
             got=deck.command.card,
             expected="a scene with a transient or an ac analysis",
+            hint="leave out --count",
         )
     unit, numbers = f"{deck.name}_unit", range(1, count + 1)
     copy = add_title("one copy", [Circuit(unit, ("common",), items=deck.items)])
@@ -249,15 +256,18 @@ def add_noise_results(
 
 
 def _remove_arithmetic_noise(part: Subcircuit, noisy: Iterable[str]) -> Subcircuit:
-    """Remove the thermal noise of resistors that only serve calculations.
+    """Remove the thermal noise of auxiliary resistors, which only compute values.
 
-    A resistor keeps its noise if its name begins with ``Rnoise``, or if ``noisy`` contains its name
-    without the final number.
+    A resistor keeps its noise if its name begins with ``Rnoise`` or is listed in ``noisy``. A name
+    in ``noisy`` also applies to resistors whose names have additional digits at the end.
     """
     names = set(map(str.lower, noisy))
 
     def silence_resistor(entry: Item) -> Item:
-        """Return a netlist item without thermal noise if it only serves calculations."""
+        """Return a netlist item, without thermal noise if it is an auxiliary resistor.
+
+        An auxiliary resistor only computes a value and represents no physical resistance.
+        """
         if not isinstance(entry, Element) or entry.kind != "r" or entry.key.startswith("rnoise"):
             return entry
         if names & {entry.key, entry.key.rstrip(DIGITS)}:

@@ -35,7 +35,7 @@ from kc2spice.physics.declaration import (
     write_resistance_ratio,
 )
 from kc2spice.physics.law import DeclaredLaw
-from kc2spice.physics.lookups import TableFunction
+from kc2spice.physics.lookup_tables import TableFunction
 from kc2spice.physics.symbolic_algebra import (
     SLOPE_SUFFIX,
     ZERO,
@@ -102,8 +102,9 @@ def add_heat_pin(declared: Declaration, coefficient: float, reference: float) ->
     """Return the declaration of coils with a heat pin.
 
     The temperature of the heat pin sets the resistances of the coils. Signals of the declaration
-    are currents, which are computed from a voltage. Each signal is divided by the resistance ratio
-    at the temperature of the heat pin.
+    are coil currents: the voltage across the coils, divided by the resistance of the coils at the
+    reference temperature. Each signal is therefore divided by the ratio of the resistances at the
+    temperature of the heat pin and at the reference temperature.
     """
     result = declared.with_heat_pin(coefficient, reference)
     if not declared.signals:
@@ -154,9 +155,9 @@ def _declare_force(
 def _choose_declaration_options(height: str, names: tuple[str, ...]) -> dict[str, Any]:
     """Return the declaration arguments that depend on the purpose: law or netlist.
 
-    The purpose is either a law of the integrator or a netlist. For a law, the arguments are the
-    parameters of the height and the limits of the height. For a netlist, the arguments are the
-    velocity pin and the option ``metered``.
+    The declaration of a law for the integrator has the additional parameters ``raised``, ``y_min``
+    and ``y_max``, and the limits of the height in the force table. The declaration of a netlist has
+    a velocity pin and the option ``metered=False``.
     """
     if height == _RAISED_HEIGHT:
         return {
@@ -211,7 +212,7 @@ def make_law(
 
 
 def _make_table_functions(coenergy: Coenergy) -> Mapping[str, Callable[[float], float]]:
-    """Return the functions of the tables in the declarations, keyed by table name.
+    """Return the functions that evaluate the declared lookup tables, keyed by name.
 
     The functions have a common cache, so that each height is evaluated only once.
     """

@@ -16,7 +16,7 @@ from kc2spice.core.domains import AMBIENT, HEAT, THERMAL
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Section, si
 from kc2spice.physics.declaration import COEFFICIENT, REFERENCE
-from kc2spice.scene.model import GROUND, DeclaredScene, Part, Terminal
+from kc2spice.scene.scene_classes import GROUND, DeclaredScene, Part, Terminal
 
 HEAT_TERMINALS = Terminal.from_domain(HEAT, THERMAL), Terminal.from_domain(AMBIENT, THERMAL, GROUND)
 

@@ -19,14 +19,15 @@ rates, voltages and currents::
 
 A *measured* branch has a coordinate, but no flow through its pins. Each of the ``states`` x
 satisfies an equation ``dx/dt = f``, where f is a function of states, coordinates and rates. The
-expressions of content and forces may contain states. A controller, for example, is declared by a
-content that depends on inputs and states.
+expressions of the content ``R`` and of ``forces`` may contain the names of ``states``. For example,
+the content ``R``, which describes the losses of a controller, is a function of the controller's
+inputs and states.
 
-The stored energy is ``T + U - W + sum v q + sum i l``. The power that becomes heat is ``sum x_rate
-dR/dx_rate + sum v dR/dv + sum i dR/di``, plus the products of rates and ``forces``. For all
-expressions, the energy that enters through the pins equals the increase of the stored energy plus
-the heat. (J. Meisel, Principles of Electromechanical Energy Conversion, 1966; content: W. Millar,
-Phil. Mag. 42 (1951) 1150.)
+The stored energy is ``T + U - W + sum(v * q) + sum(i * l)``. The power that becomes heat is
+``sum(x_rate * dR/dx_rate) + sum(v * dR/dv) + sum(i * dR/di)``, plus the products of rates and
+``forces``. For all expressions, the energy that enters through the pins equals the increase of the
+stored energy plus the heat. (J. Meisel, Principles of Electromechanical Energy Conversion, 1966;
+content: W. Millar, Phil. Mag. 42 (1951) 1150.)
 
 If a part has a heat pin (:meth:`Declaration.with_heat_pin`), the power that becomes heat leaves the
 part through this pin, and the resistances of ``conductors`` depend on the temperature of the pin.
@@ -92,8 +93,9 @@ class Branch:
 
     ``kind`` is the physical quantity of the coordinate, and ``name`` is the name of the coordinate
     in expressions. ``through`` is the name of the flow into the pin ``plus``, and is empty for a
-    measured branch. A displacement branch can have a second lower pin ``less``. The coordinate is
-    then the displacement of ``plus`` minus the displacements of ``minus`` and ``less``.
+    measured branch. ``less`` is the name of a second negative pin, which only displacement branches
+    can have. The coordinate of a branch with ``less`` is the displacement of ``plus`` minus the
+    displacements of ``minus`` and ``less``.
     """
 
     kind: str
@@ -127,7 +129,8 @@ class Branch:
     def lossy_variable(self) -> str:
         """Name of the variable on which the losses of the branch depend.
 
-        The variable is the rate of a displacement, or the coordinate itself.
+        The losses of a displacement or angle depend on its rate. The losses of any other
+        coordinate, such as a voltage, depend on the coordinate itself.
         """
         return self.rate if self.is_motion else self.name
 
@@ -166,7 +169,9 @@ def branch(
     Branch(kind='temperature', name='temperature', plus='a', minus='b', through='heat', less='')
     """
     if kind not in COORDINATES:
-        raise unknown("this coordinate of a branch does not exist", kind, COORDINATES, "branch")
+        raise unknown(
+            "this quantity cannot be the coordinate of a branch", kind, COORDINATES, "branch"
+        )
     domain, side = QUANTITIES[kind]
     name, flow = name or domain.get_quantity(side).symbol, domain.through_variable.symbol
     return Branch(kind, name, plus, minus, name if side == "through" else through or flow)
@@ -175,7 +180,7 @@ def branch(
 def displacement(
     name: str = "x", plus: str = "a", minus: str = "b", force: str = "force", less: str = ""
 ) -> Branch:
-    """Make a branch with the displacement ``name`` [m] of ``plus`` as coordinate.
+    """Make a branch whose coordinate ``name`` is the displacement [m] of pin ``plus``.
 
     The displacements of the pins ``minus`` and ``less`` are subtracted from the displacement of
     ``plus``.
@@ -186,7 +191,7 @@ def displacement(
 def voltage(name: str = "v", plus: str = "plus", minus: str = "minus", flow: str = "i") -> Branch:
     """Make a branch with the voltage ``name`` [V] from ``plus`` to ``minus``.
 
-    The voltage is the coordinate of the branch.
+    The voltage, not the current, is the variable of the branch in the part's equations.
     """
     return Branch("voltage", name, plus, minus, flow)
 
@@ -194,16 +199,16 @@ def voltage(name: str = "v", plus: str = "plus", minus: str = "minus", flow: str
 def current(name: str = "i", plus: str = "plus", minus: str = "minus") -> Branch:
     """Make a branch with the current ``name`` [A] from ``plus`` to ``minus``.
 
-    The current is the coordinate of the branch.
+    The current, not the voltage, is the variable of the branch in the part's equations.
     """
     return Branch("current", name, plus, minus, name)
 
 
 def make_frame_branch(name: str, pin: str, base: str) -> Branch:
-    """Make a measured branch with the acceleration of a frame as coordinate.
+    """Make a frame branch, which measures the acceleration of a reference frame.
 
-    The name of the acceleration [m/s2] is ``name``. In the netlist, ``pin`` carries the force that
-    accelerates the masses with the frame.
+    The name of the acceleration [m/s2] is ``name``. In the netlist, the flow through ``pin`` is the
+    force that accelerates all masses that move with the frame.
     """
     return Branch("acceleration", name, pin, base, "")
 
@@ -219,7 +224,7 @@ def measured(branch: Branch) -> Branch:
 def loop(name: str) -> Branch:
     """Make a branch with the current ``name`` [A] in a closed loop of a part.
 
-    The current is the coordinate of the branch.
+    The current is the variable of the branch in the part's equations.
     """
     return Branch("current", name, "", "", name)
 
@@ -236,12 +241,12 @@ def _make_unknown_name_error(
         expected=f"one of {list_candidates(first, choices)}" if choices else "numbers",
         hint=hint
         or did_you_mean(first, choices)
-        or f"add the key {first} to the section of keys, or use one of these names",
+        or f"add the key `{first}` to the class of keys of this part, or use a known name",
     )
 
 
 def write_resistance_ratio(temperature: str = TEMPERATURE) -> str:
-    """Return the expression of the resistance ratio of a conductor.
+    """Write a conductor's resistance ratio ``R / R0`` as a function of temperature.
 
     The ratio is ``R / R0 = 1 + alpha (T - T0)``. R is the resistance at the ``temperature`` T, and
     R0 is the resistance at the reference temperature T0.
@@ -277,15 +282,16 @@ class Declaration:
 
     ``states`` maps the name of each state to the expression of its time derivative. ``signals``
     maps the name of each signal to an expression of measured coordinates, states and earlier
-    signals. ``kinetic`` is the kinetic energy of a mass, ``1/2 m x_rate^2``. ``starts`` contains
-    the names of the parameters for the initial displacement and velocity of the mass, keyed by
-    displacement. Only forces at the pins and a constant weight may act on the mass. ``forces``
-    contains dissipative forces as functions of coordinates and rates, keyed by displacement.
-    ``limits`` maps the description of a limit to an expression that must stay above zero. ``stops``
-    maps the description of a stop to an expression that is above zero during contact. ``neglected``
-    contains the name, the reason and the size of each neglected effect. ``validity`` describes the
-    range in which the equations hold. The default text states a constant temperature. For a part
-    with heat pins, the default text states that keys do not depend on temperature.
+    signals. ``kinetic`` is the kinetic energy of a mass, ``1/2 * m * x_rate^2``. ``starts``
+    contains the names of the parameters for the initial displacement and velocity of the mass,
+    keyed by the name of the displacement. Only forces at the pins and a constant weight may act on
+    the mass. ``forces`` contains dissipative forces as functions of coordinates and rates, keyed by
+    the name of the displacement. ``limits`` maps the description of a limit to an expression that
+    must stay above zero. ``stops`` maps the description of a stop to an expression that is above
+    zero during contact. ``neglected`` contains the name, the reason and the size of each neglected
+    effect. ``validity`` describes the range in which the equations hold. By default, ``validity``
+    states that the temperature is constant. For a part with heat pins, the default of ``validity``
+    states that keys do not depend on temperature.
 
     ``conductors`` contains the names of current or voltage branches whose resistance depends on the
     temperature of the heat pin. ``temperature_coefficient`` [1/K] is the rise of the resistance per
@@ -293,16 +299,16 @@ class Declaration:
     power of ``forces`` is work of an ideal source, and does not become heat. If ``losses_of_model``
     is true, the losses are known only after the model is built. ``heated`` is true if
     :meth:`with_heat_pin` added a heat pin to the part. ``example`` contains the tables of a small
-    scene in TOML, for the list of part types. ``rating`` and ``sign`` are lines in the header of
-    the library file.
+    scene in TOML, for the list of part types. The header of the library file states the permitted
+    load, ``rating``, and the sign convention of the pins, ``sign``.
 
     The following fields have an effect only on the netlist:
 
     - ``outputs`` are pins whose displacement is an affine function of a branch displacement.
-    - ``speeds`` contains velocity nodes of rigid bodies, keyed by displacement pin. Forces act on
-      the velocity node.
-    - ``lags`` contains delays [s] of forces, keyed by displacement x. The law contains ``x + lag
-      x_rate`` in place of x.
+    - ``speeds`` contains velocity nodes of rigid bodies, keyed by displacement pin. Forces on a
+      rigid body act on its velocity node.
+    - ``lags`` contains the delay [s] of each delayed force, keyed by the name of the displacement x
+      in the law of the force. The law contains ``x + lag * x_rate`` in place of x.
     - ``base`` is the reference pin of the voltages of inner nodes.
     - If ``metered`` is false, the netlist has no nodes and sources that measure forces and
       currents.
@@ -373,7 +379,7 @@ class Declaration:
         for name, tree in self.signal_trees.items():
             self._check_names(f"signal {name}", tree, earlier)
             earlier.add(name)
-        self._require_loss_in_content()
+        self._require_lossy_variable()
 
     def _check_branches(self) -> None:
         """Reject ``branches`` unless it is a tuple or list of branches."""
@@ -389,10 +395,11 @@ class Declaration:
         )
 
     def _make_coordinate_hint(self, unknown: Iterable[str]) -> str:
-        """Return a hint if an expression names a quantity in place of its coordinate.
+        """Return a hint to write a coordinate, such as ``v``, in place of ``voltage``.
 
-        Expressions must contain the name of the coordinate instead. Return an empty string if no
-        unknown name is the quantity of a coordinate.
+        An expression must contain the name of a coordinate, such as ``v``, and not the quantity,
+        such as ``voltage``. Return an empty string if ``unknown`` does not contain the name of a
+        branch's quantity, such as ``voltage``.
         """
         for b in self.branches:
             if b.kind in unknown and b.kind != b.name:
@@ -400,7 +407,7 @@ class Declaration:
         return ""
 
     def _check_names(self, field_name: str, tree: Tree, allowed: set[str]) -> None:
-        """Reject an expression ``field_name`` with variables that are not ``allowed``."""
+        """Reject variables in the field ``field_name`` that are not in ``allowed``."""
         strange = sorted(find_names(tree) - allowed - set(self.parameters))
         if strange:
             variables = ", ".join(strange)
@@ -415,10 +422,10 @@ class Declaration:
                 hint=hint.format(variables) or None,
             )
 
-    def _require_loss_in_content(self) -> None:
-        """Reject a dissipation content that depends on no rate, voltage or current.
+    def _require_lossy_variable(self) -> None:
+        """Require that ``content`` depends on a lossy variable: rate, voltage or current.
 
-        A content that depends only on a displacement is rejected, for example.
+        For example, a dissipation function that depends only on a displacement is rejected.
         """
         tree = self._parse_field("content")
         variables = {b.lossy_variable for b in self.acting_branches}
@@ -543,17 +550,17 @@ class Declaration:
 
     @cached_property
     def acting_branches(self) -> tuple[Branch, ...]:
-        """Branches with a flow through their pins, which are not *measured* branches."""
+        """Branches that carry a flow through their pins: all except *measured* branches."""
         return tuple(branch for branch in self.branches if branch.through)
 
     @cached_property
     def displacement_branches(self) -> tuple[Branch, ...]:
-        """Acting branches whose coordinate is a displacement."""
+        """Branches that exert a force and whose coordinate is a displacement."""
         return tuple(branch for branch in self.acting_branches if branch.is_motion)
 
     @cached_property
     def branches_without_motion(self) -> tuple[Branch, ...]:
-        """Acting branches whose coordinate is not a displacement, such as a voltage."""
+        """Branches that carry a flow and whose coordinate is not a displacement."""
         return tuple(b for b in self.acting_branches if not b.is_motion)
 
     @cached_property
@@ -563,12 +570,12 @@ class Declaration:
 
     @cached_property
     def measured_branches(self) -> tuple[Branch, ...]:
-        """Branches without a flow through their pins."""
+        """Branches that only measure a quantity, without a flow through their pins."""
         return tuple(branch for branch in self.branches if not branch.through)
 
     @cached_property
     def pin_branches(self) -> tuple[Branch, ...]:
-        """Acting branches between two pins; closed loops are excluded."""
+        """Branches that carry a flow between two pins; closed loops are excluded."""
         return tuple(branch for branch in self.acting_branches if branch.plus)
 
     @cached_property
@@ -595,7 +602,7 @@ class Declaration:
 
     @cached_property
     def declaration_with_loop_pin(self) -> Declaration:
-        """Copy of the declaration in which each loop begins and ends at the pin ``loops``."""
+        """Copy of the declaration with both ends of each current loop at pin ``loops``."""
         if self.pin_branches == self.acting_branches:
             return self
         branches = (b if b.plus else replace(b, plus=LOOPS, minus=LOOPS) for b in self.branches)
@@ -603,7 +610,7 @@ class Declaration:
 
     @cached_property
     def branch_laws(self) -> tuple[Tree, ...]:
-        """Direct flow and stored quantity of each acting branch.
+        """Two laws of each branch with a flow: storage-free flow, and stored quantity.
 
         The order of the branches is preserved.
         """
@@ -622,7 +629,7 @@ class Declaration:
         return result
 
     def replace_power_series(self, tree: Tree) -> Tree:
-        """Return an expression with names in place of its power series.
+        """Replace each power series in an expression by a name from ``power_series``.
 
         :attr:`power_series` contains the names of the power series.
         """
@@ -642,7 +649,7 @@ class Declaration:
 
     @cached_property
     def number_names(self) -> tuple[str, ...]:
-        """Names of the numeric keys, and of the parameters in the field ``given``."""
+        """Names of all numbers of a declaration: numeric keys and ``given`` parameters."""
         return (*self.number_keys, *self.defaults)
 
     @cached_property
@@ -680,7 +687,7 @@ class Declaration:
 
     @cached_property
     def trees_by_stop(self) -> dict[str, Tree]:
-        """Expression trees of the stops, keyed by description."""
+        """Expression trees of the mechanical stops, keyed by the stop's description."""
         return self._parse_texts("stop", self.stops)
 
     @cached_property
@@ -690,7 +697,7 @@ class Declaration:
 
     @cached_property
     def stop_variables(self) -> dict[str, frozenset[str]]:
-        """Names of the variables on which each stop depends, keyed by stop description."""
+        """Names of the variables of each mechanical stop, keyed by the stop's description."""
         return {name: self._list_variables(tree) for name, tree in self.trees_by_stop.items()}
 
     def _list_variables(self, tree: Tree) -> frozenset[str]:
@@ -714,7 +721,11 @@ class Declaration:
 
     @cached_property
     def _expanded_signals(self) -> dict[str, Tree]:
-        """Expressions of the signals without names of other signals, keyed by signal name."""
+        """Expressions of the signals, with the definitions of other signals inserted.
+
+        The definition of a signal replaces its name in all later signals. The keys are the names of
+        the signals.
+        """
         result: dict[str, Tree] = {}
         for name, tree in self.signal_trees.items():
             result[name] = substitute_names(tree, result)
@@ -732,9 +743,9 @@ class Declaration:
     def derive_direct_flow(self, branch: Branch) -> Tree:
         """Return the direct flow of a branch, which excludes rates of stored quantities.
 
-        The direct flow is the force without the rate of the momentum, or the current without the
-        rate of the charge. For a branch whose coordinate is a current, the direct flow is the
-        voltage without the rate of the flux.
+        The direct flow is the force minus the time derivative of the momentum, or the current minus
+        the time derivative of the charge. For a branch whose coordinate is a current, the direct
+        flow is the voltage minus the time derivative of the flux.
         """
         if branch == self.heat_branch:
             return subtract_trees(ZERO, self.heat_power)
@@ -748,7 +759,7 @@ class Declaration:
         return add_trees(stored, dissipative, self._force_trees.get(branch.name, ZERO))
 
     def _derive_lossy_flow(self, branch: Branch) -> Tree:
-        """Return the flow of a branch that is due to losses.
+        """Return the lossy flow of a branch: the part of the flow that losses cause.
 
         For a branch whose coordinate is a current, the lossy flow is the voltage across the
         resistance.
@@ -759,11 +770,12 @@ class Declaration:
         ratio = parse_simplified(write_resistance_ratio())
         return (multiply_trees if branch.is_flow else divide_trees)(slope, ratio)
 
-    def derive_force_with_lags(self, branch: Branch) -> Tree:
-        """Return the direct force of a branch, without rates of coordinates with a lag.
+    def derive_force_without_lagged_rates(self, branch: Branch) -> Tree:
+        """Derive a branch's force without inertia and rates of lagged coordinates.
 
-        Coordinates with a lag already contain their rates. Therefore, zero replaces the rates of
-        these coordinates.
+        The netlist replaces each coordinate x in ``lags`` by ``x + lag * x_rate``, so the netlist
+        already contains the effect of the rate ``x_rate``. Therefore, the returned force contains
+        zero in place of the rates of all coordinates in ``lags``.
         """
         tree = self.derive_direct_flow(branch)
         return add_trees(substitute_names(tree, {f"{name}{RATE}": ZERO for name in self.lags}))
@@ -788,7 +800,10 @@ class Declaration:
         return self._differentiate_field("coenergy", branch.name)
 
     def split_motion(self, stored: Tree) -> tuple[Tree, Tree]:
-        """Return the rate of a stored quantity due to motion, and its value at rest.
+        """Return a stored quantity's rate due to motion, and its value without motion.
+
+        The first result is the rate of the stored quantity due to displacements. The second result
+        is the stored quantity at zero displacement.
 
         Only displacements with a velocity node in ``velocities`` count as motion. The stored
         quantity must be an affine function of these displacements.
@@ -847,8 +862,9 @@ class Declaration:
         """Expression of the power [W] that enters through the pins and is not stored.
 
         The power at a pin is the product of its across quantity and its through quantity, such as
-        voltage and current. At a heat pin, the power is the product of temperature and heat flow.
-        In a network, the sum of the powers at all pins is zero (Tellegen's theorem).
+        voltage and current. At a heat pin, the product of temperature and heat flow takes the place
+        of the power; its unit is K W. In a network, the sum of the powers at all pins is zero
+        (Tellegen's theorem).
         """
         branch = self.heat_branch
         if branch is None:

@@ -3,7 +3,7 @@
 The cards contain a current or voltage source for each branch of the declaration. At the pins, 1 V
 represents the pin unit of the domain, such as 1 um. At inner nodes, 1 V represents the SI unit. To
 differentiate a quantity, a source applies a voltage equal to the quantity to a capacitor. The
-current of the capacitor is then proportional to the time derivative.
+capacitor's current is proportional to the time derivative of the capacitor's voltage.
 """
 
 from __future__ import annotations
@@ -31,11 +31,17 @@ from kc2spice.netlist.expression import (
     substitute_names,
     walk_tree,
 )
+from kc2spice.netlist.number_and_name_spelling import LEAK_RATE, format_number
 from kc2spice.netlist.shared_cards import Line, attach_comments, write_pivot_cards
-from kc2spice.netlist.spelling import LEAK_RATE, format_number
 from kc2spice.physics.declaration import TEMPERATURE, Branch, Declaration
-from kc2spice.physics.linkages import FluxLinkages, find_flux_linkages
-from kc2spice.physics.lookups import CELL_NODE, WEIGHT_NODE, Lookups, TableFunction, has_tables
+from kc2spice.physics.flux_linkages import FluxLinkages, find_flux_linkages
+from kc2spice.physics.lookup_tables import (
+    CELL_NODE,
+    WEIGHT_NODE,
+    Lookups,
+    TableFunction,
+    has_tables,
+)
 from kc2spice.physics.symbolic_algebra import (
     ONE,
     ZERO,
@@ -186,13 +192,11 @@ def _list_inner_voltages(
 
 
 def _list_laws(declaration: Declaration, linkages: FluxLinkages | None) -> tuple[Tree, ...]:
-    """Return the laws in which tables are allowed: forces and voltages due to motion.
-
-    Tables may occur in forces, and in voltages due to motion.
+    """Return the laws of forces and motion voltages; reject tables in all other laws.
 
     Raises
     ------
-    UsageError : another expression of the declaration contains a table.
+    UsageError : an expression contains a table, but is neither a force nor an inductance.
     """
     others = [*declaration.signal_trees.values(), *declaration.state_rates.values()]
     for b in declaration.branches_without_motion:
@@ -206,12 +210,12 @@ def _list_laws(declaration: Declaration, linkages: FluxLinkages | None) -> tuple
                 where=declaration.name,
                 got=format_tree(tree),
             )
-    forces = map(declaration.derive_force_with_lags, declaration.displacement_branches)
+    forces = map(declaration.derive_force_without_lagged_rates, declaration.displacement_branches)
     return (*forces, *(linkages.motion_voltages if linkages else ()))
 
 
 def _write_lookups(lookups: Lookups, nodes: Mapping[str, Tree]) -> Iterator[Line]:
-    """Yield the cards that find the table cell, and the cards of shared lookups.
+    """Yield the cards of lookups, which are tables that the simulator interpolates.
 
     A shared lookup occurs in several laws, and therefore has a node.
     """
@@ -250,8 +254,9 @@ def _write_linkages(
 ) -> Iterator[Line]:
     """Yield the cards of branch currents as functions of the flux linkages.
 
-    The flux linkages are states of the netlist. Each inverse inductance is the sum of its mean and
-    a lookup. The means have separate cards, because the simulator starts with 0 V at every lookup.
+    The flux linkages are states of the netlist. Each inverse inductance is the sum of its mean,
+    which has a separate card, and a lookup. The iteration of ngspice starts with 0 V at the lookup
+    nodes, so lookups alone would give inverse inductances of zero.
     """
     henry, inverse = linkages.invert_inductances(lookups)
     mean, count = inverse.mean(axis=0), len(linkages.branches)
@@ -354,7 +359,7 @@ def _list_circuit_variables(tree: Tree) -> list[CircuitVariable]:
 
 
 def _find_single_voltage(tree: Tree) -> tuple[str, ...]:
-    """Return both nodes of a voltage if it is an expression's only circuit variable.
+    """Find the single voltage on which an expression depends; return its two nodes.
 
     Otherwise, return an empty tuple.
     """
@@ -368,8 +373,9 @@ def _write_mass(declaration: Declaration, b: Branch) -> Iterator[Line]:
     """Yield the cards of a mass, whose velocity is the voltage of a capacitor.
 
     The capacitance represents the mass. The position is the integral of the velocity. If the
-    velocity has no pin, the force at the pins is both a node voltage and a current, because the
-    tolerance of the simulator is tighter for currents.
+    velocity has no pin, a node voltage represents the force at the pins, and a voltage source
+    carries the force as a current. The current is needed, because the tolerance of ngspice is
+    tighter for currents than for voltages.
     """
     n, base, speed = b.name, declaration.base or b.minus, declaration.speeds.get(b.plus)
     v, place = (speed, b.plus) if speed else (f"speed_{n}", f"place_{n}")
@@ -481,7 +487,7 @@ def _find_coordinate_nodes(declaration: Declaration, b: Branch) -> tuple[str, st
 
 
 def get_reference_pin_name(declaration: Declaration) -> str:
-    """Return the name of the reference pin for the voltages of loops and inner nodes."""
+    """Return the name of the reference pin, to which voltages of inner nodes refer."""
     pins = (b.minus for b in declaration.branches if b.is_motion)
     return declaration.base or next(pins, "") or declaration.pin_branches[0].minus
 
@@ -543,7 +549,7 @@ def _write_differentiator(name: str, node: str, minus: str) -> Iterator[Line]:
 
 
 def _find_sensed_pins(declaration: Declaration, b: Branch) -> tuple[str, str]:
-    """Return the pins whose displacement the netlist differentiates.
+    """Find the pins whose displacement the netlist senses to compute a velocity.
 
     A pin with a velocity node is replaced by the reference pin.
     """
@@ -555,7 +561,8 @@ def _find_sensed_pins(declaration: Declaration, b: Branch) -> tuple[str, str]:
 def _write_velocity(declaration: Declaration, b: Branch) -> Iterator[Line]:
     """Yield the cards that differentiate the displacement of a branch.
 
-    Pins with a velocity node do not contribute to the differentiated displacement.
+    A pin with a velocity node is left out, because the voltage of this node already is the velocity
+    of the pin.
     """
     base = declaration.base or b.minus
     plus, minus = _find_sensed_pins(declaration, b)
@@ -603,7 +610,7 @@ def _write_force(
     node, base = name_force_node(b), declaration.base or b.minus
     speeds = declaration.speeds
     high, low = speeds.get(b.plus, b.plus), speeds.get(b.minus, b.minus)
-    force = declaration.derive_force_with_lags(b)
+    force = declaration.derive_force_without_lagged_rates(b)
     metered = declaration.metered or b.less
     ends = (base, node) if metered else (high, low)
     across, through = b.domain.across, b.domain.through_variable
@@ -629,7 +636,10 @@ def _write_stored_quantity(
 ) -> Iterator[Line]:
     """Yield the cards of the stored quantity of a branch, and of its time derivative.
 
-    The stored quantity is scaled. For example, the stored quantity is a charge or a flux.
+    The card contains the stored quantity, such as a charge or flux, divided by a scale. The scale
+    is usually the derivative of the stored quantity with respect to the coordinate of the branch.
+    If the stored quantity is proportional to the branch's coordinate, the voltage of the node
+    ``node`` equals this coordinate in its netlist unit.
     """
     scale = declaration.set_variables_to_zero(differentiate_tree(stored, b.name))
     scale = multiply_trees(_format_power_of_ten(find_coordinate_quantity(b).factor), scale)
@@ -637,8 +647,9 @@ def _write_stored_quantity(
     unit = moved if moved != ZERO else Number("1e-12")
     yield Parameters({f"scale_{b.name}": f"{{{format_tree(unit)}}}"})
     amount = substitute_names(declaration.replace_power_series(stored), nodes)
-    # A charge is multiplied by 1/scale, because a division by scale would be inaccurate.
-    # For the derivative of a quotient, ngspice adds 1e-32 to scale^2.
+    # When ngspice differentiates a quotient, it adds 1e-32 to the square of the divisor.
+    # Derivatives of quotients with a small divisor are therefore inaccurate.
+    # The card of a charge contains no division: a parameter with the value 1/scale is its factor.
     if not b.is_flow:
         yield Parameters({f"per_{b.name}": f"{{1/scale_{b.name}}}"})
         amount = BinaryOperation("*", Name(f"per_{b.name}"), amount)
@@ -651,8 +662,8 @@ def _write_stored_quantity(
 def _compute_change_by_motion(declaration: Declaration, stored: Tree) -> Tree:
     """Return the change of a stored quantity for a displacement of 1 um.
 
-    The displacement is the first displacement on which the stored quantity depends. All coordinates
-    are zero.
+    If the stored quantity depends on several displacements, only the first of these displacements
+    changes. All coordinates are zero.
     """
     for b in declaration.displacement_branches:
         slope = declaration.set_variables_to_zero(differentiate_tree(stored, b.name))
@@ -735,7 +746,7 @@ def _write_kink_switches(declaration: Declaration, nodes: Mapping[str, Tree]) ->
     moved = {b.name: b for b in declaration.displacement_branches}
     inner = {*declaration.states, *declaration.signals}
     flows = map(declaration.derive_direct_flow, declaration.branches_without_motion)
-    forces = map(declaration.derive_force_with_lags, declaration.displacement_branches)
+    forces = map(declaration.derive_force_without_lagged_rates, declaration.displacement_branches)
     laws = (*forces, *flows, *declaration.state_rates.values())
     result = []
     for argument in dict.fromkeys(chain.from_iterable(map(find_kinks, laws))):

@@ -13,13 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from kc2spice.core.laws import AcrossInput, Device, Flow, LawPin
+from kc2spice.core.constitutive_laws import AcrossInput, Device, Flow, LawPin
 from kc2spice.core.quantities import DEFAULT_TEMPERATURE
 
 # Boltzmann constant [J/K] and elementary charge [C] of ngspice, from CODATA 2014.
 # Source: the file include/ngspice/const.h of ngspice.
-# With the exact constants of the SI, the thermal voltage would be larger by the factor 1 + 3.4e-7.
-# With the exact constants of the SI, the current at 0.6 V would be smaller by the factor 1 - 8e-6.
+# With exact SI constants instead of the values of ngspice, the thermal voltage is 0.34 ppm larger.
+# With exact SI constants instead of the values of ngspice, the current at 0.6 V is 8 ppm smaller.
 SIMULATOR_BOLTZMANN = 1.38064852e-23
 SIMULATOR_CHARGE = 1.6021766208e-19
 THERMAL_VOLTAGE = SIMULATOR_BOLTZMANN * DEFAULT_TEMPERATURE / SIMULATOR_CHARGE  # V, at 27 C
@@ -33,7 +33,7 @@ REVERSE_RANGE = 3.0
 BREAKDOWN_ITERATIONS = 25  # fixed-point iterations; each iteration multiplies the error by 1e-5
 # Distance from the breakdown voltage, in thermal voltages, below which Newton steps are limited.
 BREAKDOWN_MARGIN = 10.0
-# Largest voltage change in a Newton step, in thermal voltages, without limitation.
+# A Newton step is not limited if its voltage change is at most this number of thermal voltages.
 MAX_UNLIMITED_CHANGE = 2.0
 
 
@@ -164,7 +164,7 @@ class Junction(Device):
         )
 
     def _compute_exponential_current(self, v: float) -> tuple[float, float, float]:
-        """Return current [A], slope [S] and integral [W] at a voltage without ``gmin``.
+        """Compute the current [A], its slope [S] and integral [W], all without ``gmin``.
 
         The integral begins at 0 V.
         """
@@ -193,7 +193,8 @@ class Junction(Device):
         charge, farad = 2.0 * self.capacitance * volt * (1.0 - root), self.capacitance / root
         coenergy = 2.0 * self.capacitance * volt * (below - volt * (1.0 - root * root * root) / 1.5)
         over = v - below
-        slope = 0.5 * farad / (volt * root * root)  # slope dC/dv of the tangent at FC VJ
+        # Above the voltage FC*VJ, the capacitance C rises with the constant slope dC/dv.
+        slope = 0.5 * farad / (volt * root * root)
         coenergy += over * (charge + over * (farad / 2.0 + over * slope / 6.0))
         return charge + over * (farad + over * slope / 2.0), farad + slope * over, coenergy
 
@@ -209,7 +210,7 @@ class Junction(Device):
         return charge, farad + self.transit_time * slope, energy
 
     def evaluate(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Return the currents [A] and conductances [S] of the junction and the resistance."""
+        """Return the currents [A] and conductances [S] of junction and series resistance."""
         slope = [self._compute_current(float(e[0]))[1]]
         if self.series_resistance:
             slope.append(1.0 / self.series_resistance)

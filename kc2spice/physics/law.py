@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
+from kc2spice.core.constitutive_laws import AcrossInput, Device, Flow, LawPin
 from kc2spice.core.domains import TRANSLATION
 from kc2spice.core.errors import SimulationError
-from kc2spice.core.laws import AcrossInput, Device, Flow, LawPin
 from kc2spice.core.naming import list_names
 from kc2spice.netlist.expression import Name, Number, Tree, substitute_names
 from kc2spice.physics.declaration import LOOPS, Branch, Declaration
@@ -50,7 +50,7 @@ def _make_input_name(branch: Branch) -> str:
 
 @dataclass(frozen=True)
 class DeclaredLaw(Device):
-    """Law of a declared part, with the values of the part's parameters.
+    """Law that a declaration defines, with the values of the part's parameters.
 
     ``tables`` contains the functions of the tables and of the derivatives of the tables, keyed by
     name.
@@ -73,7 +73,8 @@ class DeclaredLaw(Device):
         result: dict[str, LawPin] = {}
         kinds = self._pin_kinds
         for b in self.declaration.branches:
-            loop = b.plus == LOOPS  # grounding keeps the current of a loop out of the base pin
+            # The pin ``loops`` is grounded, so that loop currents do not flow into the base pin.
+            loop = b.plus == LOOPS
             result.setdefault(b.plus, LawPin(b.plus, kinds[b.plus], grounded=loop))
             inner = b.minus in self.declaration.inner
             result.setdefault(b.minus, LawPin(b.minus, kinds[b.minus], grounded=not inner))
@@ -107,14 +108,14 @@ class DeclaredLaw(Device):
 
         With ``rate``, return the rate of the coordinate.
         """
-        return AcrossInput(b.plus, self._lower_pin(b), rate, b.less)
+        return AcrossInput(b.plus, self._get_minus_pin(b), rate, b.less)
 
     @cached_property
     def _pin_kinds(self) -> dict[str, str]:
         """Kind of each pin, keyed by pin name.
 
-        The kind is ``signal`` for outputs, and for pins that only measured branches use, if no
-        expression contains the rate of these branches.
+        The kind is ``signal`` for outputs. A pin that only measured branches use also has the kind
+        ``signal``, if no expression contains the rates of these branches.
         """
         d = self.declaration
         result = dict.fromkeys(d.domains, "signal")
@@ -123,19 +124,19 @@ class DeclaredLaw(Device):
                 result[pin] = d.domains[pin].law_pin_kind
         return result | dict.fromkeys(d.outputs, "signal")
 
-    def _lower_pin(self, b: Branch) -> str:
-        """Return the lower pin of a branch.
+    def _get_minus_pin(self, b: Branch) -> str:
+        """Return the pin ``minus`` of a branch.
 
-        Return an empty string if the kind of the lower pin differs from the kind of the pin
+        Return an empty string if the kind of the pin ``minus`` differs from the kind of the pin
         ``plus``.
         """
         return b.minus if self._pin_kinds[b.minus] == self._pin_kinds[b.plus] else ""
 
     @property
     def flows(self) -> tuple[Flow, ...]:
-        """Flow of each acting branch, with the pins between which the flow passes.
+        """Flow of each branch, from its pin ``plus`` to its pin ``minus``.
 
-        A branch with a flow through its pins is an acting branch.
+        Measured branches carry no flow.
         """
         return tuple(Flow(b.plus, b.minus, b.less) for b in self.declaration.acting_branches)
 
@@ -145,11 +146,11 @@ class DeclaredLaw(Device):
 
         These flows belong to the acting branches that store a charge or a momentum.
         """
-        return tuple(map(self.declaration.acting_branches.index, self._charged_branches))
+        return tuple(map(self.declaration.acting_branches.index, self._storage_branches))
 
     @cached_property
-    def _charged_branches(self) -> tuple[Branch, ...]:
-        """Acting branches that store a charge or a momentum."""
+    def _storage_branches(self) -> tuple[Branch, ...]:
+        """Branches that carry a flow and store a charge or a momentum."""
         d = self.declaration
         branches = d.acting_branches
         return tuple(b for b in branches if not b.is_flow and d.derive_stored_quantity(b) != ZERO)
@@ -166,14 +167,14 @@ class DeclaredLaw(Device):
 
     @cached_property
     def _input_names(self) -> tuple[str, ...]:
-        """Names of all inputs: quantities across pins, rates and states."""
+        """Names of all inputs: one for each branch, then all rates, then all states."""
         d = self.declaration
         rates = (b.rate for b in d.branches_with_rate)
         return (*map(_make_input_name, d.branches), *rates, *self.states)
 
     @cached_property
     def is_affine(self) -> bool:
-        """Whether the outputs are affine in each mode, and the law stores nothing."""
+        """Whether the law is affine in each switching state and stores no quantities."""
         d = self.declaration
         laws = (*d.state_rates.values(), *d.output_trees.values())
         trees = (*map(d.derive_direct_flow, d.acting_branches), *laws)
@@ -190,7 +191,7 @@ class DeclaredLaw(Device):
 
     @cached_property
     def _kink_arguments(self) -> tuple[Tree, ...]:
-        """Arguments of all one-sided functions in the law.
+        """Arguments of the functions with a kink in the law, such as x in ``max(0, x)``.
 
         The signs of these arguments define the mode of the law.
         """
@@ -247,7 +248,7 @@ class DeclaredLaw(Device):
 
     @cached_property
     def _outputs_function(self) -> _Compiled:
-        """Compiled function that returns the outputs of the law without derivatives."""
+        """Compiled function that returns the law's outputs, but not their derivatives."""
         return self._compile_expressions(self._flow_trees)
 
     @cached_property
@@ -255,7 +256,7 @@ class DeclaredLaw(Device):
         """Expressions of the stored quantities: fluxes, states, and charges or momenta."""
         d = self.declaration
         fluxes = map(d.derive_stored_quantity, self._through_branches)
-        charges = map(d.derive_stored_quantity, self._charged_branches)
+        charges = map(d.derive_stored_quantity, self._storage_branches)
         return (*fluxes, *map(Name, d.states), *charges)
 
     @cached_property
@@ -265,28 +266,28 @@ class DeclaredLaw(Device):
 
     @cached_property
     def _stored_quantities_function(self) -> _Compiled:
-        """Compiled function that returns the stored quantities without derivatives."""
+        """Compiled function that returns stored quantities, but not their derivatives."""
         return self._compile_expressions(self._storage_trees)
 
     @cached_property
     def _energy_function(self) -> _Compiled:
-        """Compiled function that returns the stored energy and the network loss."""
+        """Compiled function that returns the stored energy and the power loss."""
         return self._compile_expressions(
             [self.declaration.stored_energy, self.declaration.network_loss]
         )
 
     @cached_property
     def _guard_function(self) -> _Compiled:
-        """Compiled function that returns the arguments of all kinks."""
+        """Compiled function of all guards: expressions whose zeros are kinks of the law."""
         return self._compile(self._kink_arguments)
 
     @cached_property
     def _limit_function(self) -> _Compiled:
-        """Compiled function that returns the expressions whose values are limited."""
+        """Compiled function of the expressions that are positive in the valid range."""
         return self._compile_expressions(self.declaration.limit_trees.values())
 
     def _evaluate(self, compiled: _Compiled, e: np.ndarray, mode: Any) -> np.ndarray:
-        """Evaluate a compiled function at the inputs ``e`` in the mode ``mode``."""
+        """Evaluate a compiled function at inputs ``e`` in the switching state ``mode``."""
         try:
             return np.array(compiled(*e.tolist(), *mode, *self.values), dtype=float)
         except (ZeroDivisionError, OverflowError, ValueError) as error:
@@ -320,37 +321,43 @@ class DeclaredLaw(Device):
         return self._evaluate_with_slopes(self._storage_function, e, mode)
 
     def evaluate_outputs(self, e: np.ndarray, mode: Any) -> np.ndarray:
-        """Return the outputs of the law without derivatives."""
+        """Return only the outputs of the law, not their partial derivatives."""
         return self._evaluate(self._outputs_function, e, mode)
 
     def evaluate_stored_quantities(self, e: np.ndarray, mode: Any) -> np.ndarray:
-        """Return the stored quantities without derivatives."""
+        """Return only the stored quantities, not their partial derivatives."""
         return self._evaluate(self._stored_quantities_function, e, mode)
 
     def find_initial_mode(self, e: np.ndarray) -> tuple[int, ...]:
-        """Return the mode at the inputs ``e``: a flag for the sign of each kink argument.
+        """Find the initial switching state: for each kink, a flag for its active side.
 
-        The mode contains 1 for each one-sided function whose argument is positive, otherwise 0.
+        The switching state contains 1 for each function with a kink whose argument is positive,
+        otherwise 0.
         """
         flags: tuple[int, ...] = (0,) * len(self._kink_arguments)
-        for k in range(len(flags)):  # an argument may depend on earlier flags
+        # The flags are computed in order: the argument of a function with a kink can depend on the
+        # flags of earlier functions.
+        for k in range(len(flags)):
             above = self._evaluate(self._guard_function, e, flags)[k] > 0.0
             flags = (*flags[:k], int(above), *flags[k + 1 :])
         return flags
 
     def evaluate_guards(self, e: np.ndarray, mode: Any) -> np.ndarray:
-        """Return the guards of a mode: the signed arguments of all one-sided functions.
+        """Evaluate the guard functions, which are positive in a switching state.
 
-        The signs are chosen so that all guards are positive within the mode.
+        The guard functions are the arguments of all functions with a kink. Their signs are chosen
+        so that all guard functions are positive in the switching state ``mode``.
         """
         return self._evaluate(self._guard_function, e, mode) * np.where(
             np.array(mode) > 0, 1.0, -1.0
         )
 
     def find_next_mode(self, mode: Any, guard: int) -> tuple[int, ...]:
-        """Return the mode that follows ``mode`` when a guard falls to zero.
+        """Return the next switching state, after a guard function has fallen to zero.
 
-        ``guard`` is the number of this guard.
+        ``guard`` is the number of the kink whose guard function has fallen to zero. Each flag in
+        ``mode`` states the active side of one kink. The result is a copy of ``mode`` in which only
+        the flag of the kink ``guard`` is inverted.
         """
         return (*mode[:guard], 1 - mode[guard], *mode[guard + 1 :])
 

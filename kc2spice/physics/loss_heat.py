@@ -11,19 +11,19 @@ from typing import Any
 
 import numpy as np
 
-from kc2spice.core import laws
+from kc2spice.core import constitutive_laws as laws
 from kc2spice.core.domains import AMBIENT, HEAT, THERMAL, TRANSLATION
-from kc2spice.netlist.spelling import format_voltage
+from kc2spice.netlist.number_and_name_spelling import format_voltage
 from kc2spice.physics.declaration import TEMPERATURE
-from kc2spice.scene.model import BuiltScene, Part
 from kc2spice.scene.part_records import PartResult
+from kc2spice.scene.scene_classes import BuiltScene, Part
 
 
 @dataclass(frozen=True)
 class LossHeatLaw(laws.Device):
     """Law of the heat flow out of the pin ``heat``.
 
-    The heat flow is ``sum weight rate^2`` [W] over all modes with losses. Each rate is the
+    The heat flow is ``sum(weight * rate^2)`` [W] over all modes with losses. Each rate is the
     displacement rate of a mode.
     """
 
@@ -44,13 +44,13 @@ class LossHeatLaw(laws.Device):
 
     @property
     def across_inputs(self) -> tuple[laws.AcrossInput, ...]:
-        """Inputs of the device: displacement rates of modes, and temperature of ``heat``."""
+        """Inputs of the device: displacement rates of modes, and the temperature."""
         rates = (laws.AcrossInput(pin, rate=True) for pin in self.rate_pins)
         return (*rates, laws.AcrossInput(HEAT, AMBIENT))
 
     @property
     def flows(self) -> tuple[laws.Flow, ...]:
-        """Heat flow into the pin ``heat``; the value is negative."""
+        """Heat flow into the part at pin ``heat``; negative, because losses flow out."""
         return (laws.Flow(HEAT, AMBIENT),)
 
     def evaluate(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -59,9 +59,9 @@ class LossHeatLaw(laws.Device):
         return np.array([slope @ e / 2]), slope[None]
 
     def loss(self, e: np.ndarray, mode: Any) -> float:
-        """Return the power at the pin ``heat``: the product of temperature and heat flow.
+        """Return the loss at ``heat``, defined as temperature times heat flow [K W].
 
-        In Tellegen's theorem, the product is the power at the pin.
+        Tellegen's theorem counts temperature times heat flow as the power at a thermal pin.
         """
         return float(e[-1] * self.evaluate(e, mode)[0][0])
 

@@ -11,16 +11,20 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from kc2spice.core import laws
+from kc2spice.core import constitutive_laws as laws
 from kc2spice.core.domains import HEAT, HEAT_PINS, SIGNALS, TRANSLATION, VELOCITY
 from kc2spice.core.errors import UsageError
 from kc2spice.core.naming import list_names
 from kc2spice.core.waveforms import Waveforms, integrate_cumulatively
 from kc2spice.netlist.circuit import Circuit, Item, Param, Pin
 from kc2spice.netlist.expression import Tree
-from kc2spice.netlist.library import Subcircuit
-from kc2spice.netlist.spelling import format_comment, format_voltage, require_distinct
-from kc2spice.netlist.spelling import require_name as checked
+from kc2spice.netlist.number_and_name_spelling import (
+    format_comment,
+    format_voltage,
+    require_distinct,
+)
+from kc2spice.netlist.number_and_name_spelling import require_name as checked
+from kc2spice.netlist.subcircuit_library import Subcircuit
 from kc2spice.physics.conductors import get_conductor_values, is_heated, list_useless_key_errors
 from kc2spice.physics.declaration import Branch, Declaration
 from kc2spice.physics.declaration_cards import (
@@ -32,9 +36,9 @@ from kc2spice.physics.declaration_cards import (
     name_force_node,
     write_subcircuit_items,
 )
+from kc2spice.physics.flux_linkages import find_flux_linkages
 from kc2spice.physics.law import DeclaredLaw
-from kc2spice.physics.linkages import find_flux_linkages
-from kc2spice.physics.lookups import TableFunction
+from kc2spice.physics.lookup_tables import TableFunction
 from kc2spice.physics.symbolic_algebra import (
     differentiate_tree,
     evaluate_tree,
@@ -43,7 +47,13 @@ from kc2spice.physics.symbolic_algebra import (
 )
 from kc2spice.scene.checks import Check, RunEnergyBalance
 from kc2spice.scene.keys import list_schema_keys
-from kc2spice.scene.model import (
+from kc2spice.scene.part_records import (
+    EquilibriumConditions,
+    NeglectedEffect,
+    NumericalRequirements,
+    PartResult,
+)
+from kc2spice.scene.scene_classes import (
     BuiltScene,
     DeclaredScene,
     GovernedScene,
@@ -55,18 +65,12 @@ from kc2spice.scene.model import (
     Terminal,
     WiredScene,
 )
-from kc2spice.scene.part_records import (
-    EquilibriumConditions,
-    NeglectedEffect,
-    NumericalRequirements,
-    PartResult,
-)
 
 if TYPE_CHECKING:
-    from kc2spice.netlist.library import Header
+    from kc2spice.netlist.subcircuit_library import Header
 
-# Largest number of impacts on a stop without a warning.
-# In tests, runs with two to nine impacts had errors of up to 20 %.
+# If the number of impacts on a stop exceeds MAX_IMPACTS, the run prints a warning.
+# In tests, two to nine impacts on a stop caused errors of up to 20 % in the results of a run.
 MAX_IMPACTS = 1.0
 REBOUND_ADVICE = (
     "what follows may hang on every step: error_budget estimates the error of each metric"
@@ -156,9 +160,10 @@ class DeclaredPart(PartType[KeysT]):
         return tuple(d.speeds.get(b.plus, b.plus) for b in d.inertial_branches)
 
     def equilibrium_conditions(self, part: Part[KeysT], scene: WiredScene) -> EquilibriumConditions:
-        """Return the paths of steady flow along the branches of the declaration.
+        """Return the equilibrium conditions: the branches that let a steady flow pass.
 
-        A branch is a path if it has a stiffness at rest, or if its coordinate is a flow.
+        A branch transmits a steady flow, such as a constant force or current, if the branch has a
+        stiffness at rest, or if its coordinate is a flow.
         """
         d = self.declare_part(part, scene)
         values = d.compute_parameter_values(part.keys)
@@ -167,7 +172,7 @@ class DeclaredPart(PartType[KeysT]):
             if b.domain.path_to_reference and b.is_flow:
                 flowing.append((b.plus, b.minus))
             elif b.domain.path_to_reference:
-                # the expression stays short if all other variables are zero
+                # all other variables are set to zero, which makes the slope a short expression
                 slope = differentiate_tree(
                     d.set_variables_to_zero(d.derive_direct_flow(b), b.name), b.name
                 )
@@ -219,10 +224,12 @@ class DeclaredPart(PartType[KeysT]):
         return None
 
     def law(self, part: Part[KeysT], build: BuiltScene) -> laws.Equations:
-        """Return the part's model equations, which are solved without a simulator."""
+        """Return the part's law: its model equations, solved by kc2spice without ngspice."""
         n, d = part.name, self.declare_built_part(part, build)
         results = {}
-        for b in d.pin_branches:  # loops are omitted, because a full model has other loops
+        # The results omit the currents in closed loops, because the full model of a part has
+        # different loops.
+        for b in d.pin_branches:
             if b.plus not in d.inner:
                 results[f"{n}.{b.through}"] = laws.scale_wave(f"{n}.{b.plus}.through")
             elif b.is_flow:
@@ -251,7 +258,8 @@ class DeclaredPart(PartType[KeysT]):
             positions = known.keys() & set(list_names(d.displacement_branches))
             forces = map(d.derive_direct_flow, d.acting_branches)
             for tree in dict.fromkeys(chain.from_iterable(map(find_kinks, forces))):
-                if positions.isdisjoint(find_names(tree)):  # an impact depends on a displacement
+                # A kink of a force is an impact only if the kink depends on a displacement.
+                if positions.isdisjoint(find_names(tree)):
                     continue
                 met = evaluate_tree(tree, d.compute_parameter_values(part.keys) | known) > 0
                 strikes = float(np.count_nonzero(met[1:] & ~met[:-1]))
@@ -290,7 +298,7 @@ class DeclaredPart(PartType[KeysT]):
                 result[name] = wave
         return result
 
-    # --- notes of explain -------------------------------------------------------------------------
+    # --- notes that the command ``explain`` prints ------------------------------------------------
 
     def notes(self, part: Part[KeysT], scene: Scene) -> Iterator[str | NeglectedEffect]:
         """Yield the equations of the model and the effects that it neglects."""
@@ -410,7 +418,7 @@ def make_declared_subcircuit(
     tables : mapping of str to TableFunction, optional
         Tables of the declaration and of the derivatives of these tables.
     pins : sequence of Pin, optional
-        Pins in the order of the netlist. By default, the branches determine the order.
+        Pins in the order of the netlist. By default, the pins are in the order of the branches.
 
     Returns
     -------
@@ -423,14 +431,16 @@ def make_declared_subcircuit(
 
     Examples
     --------
+    The pin unit ``um/N`` means that 1 V represents 1 um, and 1 A represents 1 N.
+
     >>> from kc2spice.parts.electronics.two_terminal_types import TABLE
     >>> from kc2spice.parts.electronics.two_terminal_types import declare_element as declared
-    >>> from kc2spice.netlist.library import Header
+    >>> from kc2spice.netlist.subcircuit_library import Header
     >>> spring = declared(next(row for row in TABLE if row.name == "spring"))
     >>> make_declared_subcircuit(Header("demo", "0"), "leaf", spring, {"stiffness": 100.0})
     <Subcircuit leaf: pins a[um/N] b[um/N]; stiffness=100>
     """
-    from kc2spice.synthesis.header import (
+    from kc2spice.synthesis.library_headers import (
         format_parameter_defaults,
         write_part_header,
     )  # loads scipy
@@ -469,7 +479,7 @@ def get_across_vector(build: BuiltScene, part: Part, branch: Branch) -> PartResu
 
 
 def get_flow_vector(build: BuiltScene, part: Part, branch: Branch) -> PartResult:
-    """Return the ngspice vector of the flow into the upper pin of a branch."""
+    """Return the ngspice vector of the flow into the pin ``plus`` of a branch."""
     flow, quantity = f"i(v.x{part.name}.{get_meter_name(branch)})", branch.domain.through_variable
     if branch.is_motion:
         flow = _write_inner_voltage(build, part, name_force_node(branch), branch.minus)
@@ -570,8 +580,8 @@ def _compute_step_heat(
 
     ``known`` contains the variables as arrays of shape (nt,). The heat is the mean of the power at
     the start and at the end of a step, times the duration of the step. The velocity of a coordinate
-    without mass jumps at corners of the driving waveform. Therefore, the mean velocities ``means``
-    (nt - 1,) of the steps replace the velocities.
+    without mass jumps at corners of the driving waveform. Therefore, the power is computed with the
+    mean velocities ``means`` (nt - 1,) of the steps, not with velocities at single times.
     """
     first, last = dict(known), dict(known)
     for name, values in known.items():
@@ -590,9 +600,10 @@ def _compute_step_work(
     """Compute an array (nt - 1,) with the work [J] of forces in each time step.
 
     ``forces`` contains pairs of a force (nt,) and the changes (nt - 1,) of its displacement. The
-    work is the mean force in a step times the change of the displacement. With ``jumps``, the force
-    at the end of the step may replace the mean force. The value whose work is nearer to ``near``
-    (nt - 1,) is used.
+    work is the mean force in a step times the change of the displacement. If ``jumps`` is true, a
+    second value of the work is computed with the force at the end of the step. In this case, the
+    function returns, for each step, the value of the work that is closer to the reference value in
+    ``near``, an array of shape (nt - 1,).
     """
     means, ends = np.zeros_like(near), np.zeros_like(near)
     for force, displacement in forces:
@@ -611,8 +622,9 @@ def _integrate_steps(rate: np.ndarray, time: np.ndarray, near: np.ndarray) -> np
     """Return an array (nt - 1,) with the integral of a rate over each time step.
 
     The rate is an array of shape (nt,). Simulators use the trapezoidal rule or, after a jump, the
-    rate at the end of the step. In each step, the rule is used whose integral is nearer to ``near``
-    (nt - 1,).
+    backward Euler rule with the rate at the end of the step. The function integrates each step by
+    the trapezoidal and by the backward Euler rule, and returns the result nearer to ``near`` (nt -
+    1,).
     """
     step = np.diff(time)
     return _select_nearer(near, step * (rate[1:] + rate[:-1]) / 2, step * rate[1:])

@@ -10,14 +10,14 @@ from __future__ import annotations
 from abc import abstractmethod
 from dataclasses import replace
 
-from kc2spice.core import laws
-from kc2spice.netlist.library import Header, Subcircuit
+from kc2spice.core import constitutive_laws as laws
+from kc2spice.netlist.subcircuit_library import Header, Subcircuit
 from kc2spice.physics.declaration import Declaration
 from kc2spice.physics.declaration_cards import write_subcircuit_items
 from kc2spice.physics.law import DeclaredLaw
 from kc2spice.physics.part import DeclaredPart, make_declared_subcircuit
-from kc2spice.scene.model import BuiltScene, JoinedScene, KeysT, Part, WiredScene
 from kc2spice.scene.part_records import EquilibriumConditions
+from kc2spice.scene.scene_classes import BuiltScene, JoinedScene, KeysT, Part, WiredScene
 
 
 class DeclaredPartWithMass(DeclaredPart[KeysT]):
@@ -34,7 +34,10 @@ class DeclaredPartWithMass(DeclaredPart[KeysT]):
         return self.moving_pins[:1]
 
     def equilibrium_conditions(self, part: Part[KeysT], scene: WiredScene) -> EquilibriumConditions:
-        """Return the declaration's paths of steady flow, and the pin with the mass."""
+        """Return the paths of steady flow for an equilibrium, and the pin with the mass.
+
+        The velocity of a pin that has a mass cannot jump.
+        """
         return replace(
             super().equilibrium_conditions(part, scene), inertial_pins=self.moving_pins[:1]
         )

@@ -110,21 +110,18 @@ def parse_simplified(text: str, where: str = "expression", tables: tuple[str, ..
                     hint="replace a condition such as x > 0 by max(0, x)",
                 )
     try:
-        return simplify(_replace_above(tree))
+        return simplify(_replace_step_functions(tree))
     except UsageError as error:
         error.where = error.where or where
         raise
 
 
-def _replace_above(tree: Tree) -> Tree:
-    """Return an expression with a condition in place of each step function.
-
-    The condition is ``e > 0 ? 1 : 0``.
-    """
+def _replace_step_functions(tree: Tree) -> Tree:
+    """Replace each step function ``above(e)`` by the condition ``e > 0 ? 1 : 0``."""
     match tree:
         case FunctionCall("above", (value,)):
-            return _make_step_function(simplify(_replace_above(value)))
-    return map_operands(tree, _replace_above)
+            return _make_step_function(simplify(_replace_step_functions(value)))
+    return map_operands(tree, _replace_step_functions)
 
 
 class _CardWriter(ExpressionWriter):
@@ -135,7 +132,7 @@ class _CardWriter(ExpressionWriter):
         match function, arguments:
             case "sqrt", (
                 FunctionCall("max", (_, value)),
-            ):  # unlike max(0, …), this text has a finite slope at zero
+            ):  # unlike sqrt(max(0, e)), sqrt(max(1e-18, e)) has a finite slope at e = 0
                 return f"sqrt(max(1e-18, {self.write_tree(value)}))"
             case "clip", (value,):
                 return f"max(-1, min(1, {self.write_tree(value)}))"
@@ -301,9 +298,8 @@ def _make_step_function(value: Tree) -> Tree:
 def _subtract_clip_limits(value: Tree) -> tuple[Tree, Tree]:
     """Return by how much ``value`` is above 1 and below -1, as two expressions.
 
-    The expressions are ``value - 1`` and ``-value - 1``. If ``clip(value)`` limits the value to 1,
-    the first expression is positive. If ``clip(value)`` limits the value to -1, the second
-    expression is positive.
+    If ``clip(value)`` limits the value to 1, the first expression, ``value - 1``, is positive. If
+    ``clip(value)`` limits the value to -1, the second expression, ``-value - 1``, is positive.
     """
     return subtract_trees(value, ONE), subtract_trees(UnaryOperation("-", value), ONE)
 
@@ -447,7 +443,7 @@ def _make_exponential(base: Tree, power: Tree) -> Tree:
 def _list_sum_terms(tree: Tree, sign: int = 1) -> Iterator[_Product]:
     """Yield the terms of nested sums, multiplied by ``sign``.
 
-    Because nested sums are flattened, equal terms are searched for only once.
+    The caller receives the terms of all nested sums together, so one search finds all equal terms.
     """
     match tree:
         case UnaryOperation("-" | "+" as op, value):
@@ -465,7 +461,7 @@ def _list_sum_terms(tree: Tree, sign: int = 1) -> Iterator[_Product]:
 def _may_differ_from_zero(tree: Tree) -> bool:
     """Return whether a tree may differ from zero.
 
-    Return False for ``max(0, e)`` with an expression e that is zero.
+    The result is False only for ``max(0, e)`` in which the simplified expression e is zero.
     """
     return not (
         isinstance(tree, FunctionCall)
@@ -474,7 +470,8 @@ def _may_differ_from_zero(tree: Tree) -> bool:
     )
 
 
-@cache  # the derivative of a product contains the same sums many times
+# The results are cached, because the derivative of a product contains the same sums many times.
+@cache
 def _factor_into_product(tree: Tree) -> _Product:
     """Return an expression as a product; a sum of several terms becomes one factor."""
     result = _list_nonzero_terms(tree)
@@ -504,10 +501,10 @@ WeightedCalls = tuple[tuple[FunctionCall, Fraction], ...]
 def split_calls(
     tree: Tree, functions: Container[str]
 ) -> tuple[list[tuple[Tree, WeightedCalls]], Tree]:
-    """Split an expression into products with calls of ``functions``, and other terms.
+    """Split an expression into terms with calls of ``functions``, and remaining terms.
 
-    Each product is a pair: a factor, and a weighted sum of calls. The first weight of each sum is
-    1. The other terms are returned as a single sum.
+    Each term with calls is a pair: a factor, and a weighted sum of calls. The first weight of each
+    sum is 1. The remaining terms are returned as a single sum.
 
     Raises
     ------
@@ -524,7 +521,7 @@ def split_calls(
         inner = (node.function for node in walk_tree(factor) if isinstance(node, FunctionCall))
         if len(calls) > 1 or any(name in functions for name in inner):
             raise UsageError(
-                "a netlist cannot contain functions or products of tables",
+                "a netlist cannot contain a function of a table or a product of tables",
                 got=ExpressionWriter().write_tree(term.make_tree()),
                 expected="a sum of terms, each with at most one table as a factor",
             )
@@ -542,7 +539,7 @@ def split_calls(
 
 
 def make_weighted_sum(calls: WeightedCalls) -> Tree:
-    """Return the expression ``sum_k weight_k call_k`` for calls and their weights."""
+    """Return the weighted sum ``sum_k weight_k call_k`` of function calls."""
     return add_trees(*(multiply_trees(_make_number(weight), call) for call, weight in calls))
 
 
@@ -550,10 +547,9 @@ def make_weighted_sum(calls: WeightedCalls) -> Tree:
 
 
 def find_kinks(tree: Tree) -> tuple[Tree, ...]:
-    """Return the arguments of all one-sided functions and steps in an expression.
+    """Find all kinks in an expression; return arguments such as x of ``max(0, x)``.
 
-    For example, the argument of ``max(0, e)`` is e. Arguments of inner functions precede arguments
-    of outer functions.
+    Steps count as kinks. Arguments of inner functions precede arguments of outer functions.
     """
     result = [*chain.from_iterable(map(find_kinks, list_operands(tree)))]
     match tree:
@@ -567,11 +563,11 @@ def find_kinks(tree: Tree) -> tuple[Tree, ...]:
 
 
 def replace_kinks(tree: Tree, corners: tuple[Tree, ...]) -> Tree:
-    """Return an expression with flags (1 or 0) in place of one-sided functions.
+    """Replace kinks of an expression by flags: ``max(0, x)`` becomes ``flag0 * x``.
 
-    The flags are factors with the names ``flag0``, ``flag1``, …. With constant flags, the returned
-    expression is smooth. Each expression in ``corners`` has a flag. The flag is 1 if the expression
-    is above zero, otherwise 0.
+    The expression ``corners[0]`` belongs to the flag ``flag0``, ``corners[1]`` to ``flag1``, and so
+    on. A flag is 1 if its expression in ``corners`` is above zero, otherwise 0. The returned
+    expression is smooth as long as no flag changes its value.
     """
     match tree:
         # If a step makes the argument negative, the root must be zero instead of complex.
@@ -599,7 +595,7 @@ def replace_kinks(tree: Tree, corners: tuple[Tree, ...]) -> Tree:
 def _name_flag(argument: Tree, corners: tuple[Tree, ...]) -> Name:
     """Return the name of the flag that is 1 if ``argument`` is positive.
 
-    ``argument`` is one of the ``corners``.
+    ``corners`` contains the arguments of all functions with a kink, including ``argument``.
     """
     return Name(f"flag{corners.index(argument)}")
 

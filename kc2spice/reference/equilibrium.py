@@ -1,4 +1,4 @@
-"""Equations of a system between two events, operating points and dc sweeps."""
+"""Operating points, dc sweeps, and the equations that apply between two events."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from kc2spice.core.constitutive_laws import AcrossInput, Device, LawPin
 from kc2spice.core.errors import SimulationError
-from kc2spice.core.laws import AcrossInput, Device, LawPin
 from kc2spice.core.waveforms import make_constant_waveform
 from kc2spice.reference.system import PlacedDevice, System
 
@@ -20,8 +20,9 @@ from kc2spice.reference.system import PlacedDevice, System
 class Interval:
     """Equations of a system in the time interval between two events.
 
-    The equations are ``d/dt g(t, z) = f(t, z)``, and each device stays in its mode in ``modes``.
-    Each source follows the smooth piece of its waveform that contains the time ``within``.
+    The equations are ``d/dt g(t, z) = f(t, z)``, and each device stays in its mode in ``modes``. In
+    the whole interval, each source follows one smooth piece of its waveform: the piece that
+    contains the time ``within``.
     """
 
     def __init__(self, system: System, modes: list[Any], within: float) -> None:
@@ -132,7 +133,7 @@ class Interval:
         return [device.inputs @ X for device in self.system.devices]
 
     def compute_guards(self, t: float, z: np.ndarray) -> np.ndarray:
-        """Return the guards of all devices in one array, in the order of the devices."""
+        """Return all devices' guards, which are positive in the current switching states."""
         devices_with_inputs = zip(
             self.system.devices, self.compute_device_inputs(t, z), self.modes, strict=True
         )
@@ -185,12 +186,12 @@ class _LinearisedLaw(Device):
 
 @dataclass(frozen=True, eq=False)
 class LimitedTangents:
-    """Tangents (linearised laws) of devices that limit the steps of Newton's method.
+    """Linearised laws of devices whose inputs change by a limited Newton step.
 
     Newton's method linearises most laws at the last iterate. A law that overrides
-    :meth:`Device.limit_change`, such as a diode, is linearised nearer to the inputs of the previous
-    iterate. SPICE limits Newton steps in the same way. ``points`` contains, for each such law, the
-    inputs at which the law was last linearised.
+    :meth:`Device.limit_change`, such as a diode, is linearised at inputs between the previous
+    linearisation and the last iterate. SPICE limits Newton steps in the same way. For each law with
+    limited Newton steps, ``points`` contains the inputs at which the law was last linearised.
     """
 
     points: dict[PlacedDevice, np.ndarray] = field(default_factory=dict)
@@ -198,7 +199,7 @@ class LimitedTangents:
     def linearise_limited_laws(
         self, interval: Interval, t: float, z: np.ndarray
     ) -> tuple[Interval, bool]:
-        """Linearise each law with limited Newton steps near ``z``.
+        """Linearise each law that limits its Newton steps, at points near ``z``.
 
         Return the equations with the linearised laws. Also return whether a limited Newton step
         moved a point of linearisation away from ``z``.
@@ -225,7 +226,7 @@ class LimitedTangents:
 def _evaluate(
     function: Callable[[np.ndarray, Any], np.ndarray], inputs: np.ndarray, mode: Any
 ) -> np.ndarray:
-    """Return the values of ``function`` for all columns of ``inputs``, shape (k, nt).
+    """Evaluate ``function`` for each column of ``inputs``; return an array (k, nt).
 
     ``inputs`` has the shape (m, nt).
     """
@@ -237,10 +238,11 @@ def _sum_absolute_terms(
     points: Iterable[tuple[np.ndarray, np.ndarray]],
     mode: Any,
 ) -> np.ndarray:
-    """Return the sum of the absolute terms in each output of a linearised law.
+    """Sum the magnitudes of all terms in each output of a linearised law.
 
-    The terms of an output are the output itself, and each derivative multiplied by the absolute
-    value of the input. The array of the sums has the shape (k, nt).
+    The sum for an output y is ``|y| + sum_i |dy/du_i| size_i``. The factor ``size_i`` is the sum of
+    the absolute values of all terms of the input ``u_i``. The array of the sums has the shape (k,
+    nt).
     """
     result = []
     for e, sizes in points:
@@ -250,7 +252,7 @@ def _sum_absolute_terms(
 
 
 def join_waves(parts: Sequence[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    """Concatenate the waveforms of consecutive intervals, keyed by wave name."""
+    """Concatenate the waveforms of consecutive intervals, keyed by waveform name."""
     columns = zip(*map(dict.values, parts), strict=True)
     return dict(zip(parts[0], map(np.concatenate, columns), strict=True))
 
@@ -260,7 +262,7 @@ _MAX_NEWTON_STEPS = 12  # largest number of Newton steps from the initial guess
 
 
 def solve_operating_point(system: System) -> dict[str, float]:
-    """Compute all waveforms in equilibrium, with the values of the sources at t = 0.
+    """Compute the equilibrium value of each waveform for the source values at t = 0.
 
     A net without a path to the reference node has zero charge.
 
@@ -320,7 +322,10 @@ class _StaticEquations:
         self.into = np.array([*map(attrgetter("into"), values)]).reshape(-1, n).T
 
     def make_interval(self, z: np.ndarray) -> Interval:
-        """Return the equations of an interval, with the device modes at ``z``."""
+        """Make an interval with the switching states of all devices at the unknowns ``z``.
+
+        The switching state of a device, such as contact or no contact, is its mode.
+        """
         X = np.concatenate((z, self.evaluate_source_derivatives))
         modes = [device.law.find_initial_mode(device.inputs @ X) for device in self.system.devices]
         return Interval(self.system, modes, 0.0)
@@ -337,9 +342,10 @@ class _StaticEquations:
 def find_equilibrium(
     system: System, guess: np.ndarray | None = None
 ) -> tuple[np.ndarray, list[Any]]:
-    """Compute the unknowns and device modes in equilibrium by Newton's method.
+    """Compute unknowns and switching states in equilibrium by Newton's method.
 
-    Without an initial ``guess``, the first Newton steps follow a motion with large friction.
+    Without an initial ``guess``, the first Newton steps are time steps of an overdamped motion,
+    which approaches a stable equilibrium.
     """
     static_equations, n = _StaticEquations(system), system.size
     z = np.zeros(n) if guess is None else guess.copy()
@@ -372,7 +378,9 @@ def find_equilibrium(
         )
         small = np.abs(step).max(initial=0.0) <= 1e-11 * (1e-3 + np.abs(z).max(initial=0.0))
         if guess is not None and not small and count >= direct and f[forces] @ step[moved] < 0.0:
-            pseudo_time_step *= 0.01  # a long step beyond a turning point would oppose the forces
+            # A Newton step that moves against the forces has passed a turning point.
+            # The Newton step is repeated with 1 % of the previous pseudo time step.
+            pseudo_time_step *= 0.01
             continue
         z = z + step
         if (

@@ -1,10 +1,10 @@
-"""Transient with equal time steps, of parts and of bodies that ports represent.
+"""Transient analysis with equal time steps, for circuits that contain bodies.
 
 A body with n unknowns is connected to other parts at p ports (`PortBody`). In each stage of the
-implicit method, the unknowns of the body are ``x = P(s)^-1 (r + B a)``. Here ``P(s)`` is the matrix
-of the body's equations at the rate ``s`` of the stage. The vector ``a`` contains the inputs of the
-ports, and ``r`` contains the effect of earlier time steps. The outputs are ``y = H(s) a + C P(s)^-1
-r``, where ``H(s)`` is the transfer matrix of the ports.
+method, the unknowns x of the body solve ``P(s) x = r + B a`` with port inputs a, input matrix B and
+the effect r of earlier steps. The matrix ``P(s)`` contains the body's equations at the rate ``s``
+of the stage. The outputs are ``y = H(s) a + C P(s)^-1 r``, where ``H(s)`` is the transfer matrix of
+the ports.
 
 The matrix ``P(s)`` is factorised only once for all steps. Each stage then needs one back
 substitution, and the solution of a small nonlinear system. In the nonlinear system, p linear
@@ -27,8 +27,8 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
+from kc2spice.core.constitutive_laws import Device, PortBody, Relation
 from kc2spice.core.errors import SimulationError
-from kc2spice.core.laws import Device, PortBody, Relation
 from kc2spice.linalg.factor import factorise
 from kc2spice.reference.equilibrium import Interval, LimitedTangents, find_equilibrium, join_waves
 from kc2spice.reference.system import System
@@ -37,9 +37,13 @@ GAMMA = 1.0 - np.sqrt(0.5)
 MAX_ITERATIONS = 60  # largest number of iterations in a stage, including changes of device modes
 # iteration number from which only one device at a time changes its mode
 SINGLE_SWITCH_ITERATION = 30
-GUARD_ROUNDING = 1e-15  # largest magnitude of a negative guard that counts as a rounding error
+# A device changes its mode if a guard function of the device becomes negative.
+# A negative guard function of at most this magnitude counts as a rounding error.
+GUARD_ROUNDING = 1e-15
 ZERO_LOAD = 1e-100  # largest load that counts as zero, because no solver resolves it
-# rate at which an unsupported body moves only as a rigid body, divided by the body's fastest rate
+# A body without supports has no finite static response, so its response to a slow load is used.
+# The slow load is e^(s t), where the rate s is DRIFT_RATE_RATIO times the fastest rate of the body.
+# A load e^(s t) with s = DRIFT_RATE_RATIO * (fastest rate of a body) moves the body only rigidly.
 DRIFT_RATE_RATIO = 3e-8
 
 
@@ -111,9 +115,9 @@ def _make_solver(pencil: Any, s: float) -> Callable[[np.ndarray], np.ndarray]:
 def make_static_solver(pencil: Any) -> Callable[[np.ndarray], np.ndarray]:
     """Return a function that computes the static solution of a body for a load.
 
-    The function multiplies the load by the inverse of the static matrix ``P(0)``. For an
-    unsupported body, ``P(0)`` is singular. The function then uses ``P(s)`` at a rate ``s`` far
-    below the natural frequencies of the body.
+    The function multiplies the load by the inverse of the static matrix ``P(0)``. For a body
+    without a mechanical support, ``P(0)`` is singular. The function then uses ``P(s)`` at a rate
+    ``s`` far below the natural frequencies of the body.
 
     Raises
     ------
@@ -128,7 +132,7 @@ def make_static_solver(pencil: Any) -> Callable[[np.ndarray], np.ndarray]:
 
 @dataclass(frozen=True, eq=False)
 class FixedStepResult:
-    """Result of a fixed-step run: times, waveforms and device modes.
+    """Result of a fixed-step run: times, waveforms and switching states of devices.
 
     ``time`` and each waveform have the shape (nt,). Currents that charge a device are not among the
     waveforms. Bodies have no modes.
@@ -149,9 +153,10 @@ def integrate_steps(
 ) -> FixedStepResult:
     """Integrate a system over ``count`` equal time steps from the time ``first`` [s].
 
-    The laws start in equilibrium at t = 0, and bodies stay in this equilibrium until ``first``. If
-    other laws move before ``first``, ``start_from`` converts the unknowns of the equilibrium to the
-    unknowns at ``first``.
+    All parts start in equilibrium at t = 0, and bodies stay in equilibrium until ``first``. Parts
+    other than bodies may leave their equilibrium before the time ``first``. Then the function
+    ``start_from`` must convert the unknowns in equilibrium at t = 0 to the unknowns at the time
+    ``first``.
 
     Raises
     ------
@@ -208,17 +213,20 @@ class _StepIntegrator:
         self.is_affine = all(law.is_affine for _, law in self.others)
 
     def make_interval(self, t: float) -> Interval:
-        """Return the equations of the interval at the time ``t``, with the present modes."""
+        """Make the interval that begins at time ``t`` with the present switching states."""
         return Interval(self.system, list(self.modes), t)
 
     def get_device_modes(self, interval: Interval) -> tuple[Any, ...]:
-        """Return the modes of all devices of an interval. Bodies are omitted."""
+        """Return the switching states in an interval of all devices that are not bodies.
+
+        The mode of a device states which pieces of its piecewise equations apply.
+        """
         return tuple(interval.modes[k] for k, _ in self.others)
 
     def step(self, t: float, z: np.ndarray) -> np.ndarray:
         """Compute the unknowns one step after the time ``t``.
 
-        The integrator then stores the device modes at the end of this step.
+        The function also stores the switching state of each device at the end of the step.
         """
         stored = self.make_interval(t).evaluate_equations(t, z)[0]
         stage_time = t + GAMMA * self.h
@@ -235,7 +243,7 @@ class _StepIntegrator:
     def _solve_stage(self, t: float, z: np.ndarray, stored: np.ndarray, second: bool) -> np.ndarray:
         """Solve the equations ``g(z) - stored = f(z) / rate`` of a stage for ``z``.
 
-        The integrator then stores the device modes at ``z``.
+        The function also stores the switching state of each device at the solution ``z``.
         """
         for k, body in self.bodies.items():
             self.modes[k] = body.begin_stage(second)
@@ -262,7 +270,7 @@ class _StepIntegrator:
         )
 
     def _switch_devices(self, es: list[np.ndarray], count: int) -> bool:
-        """Change the modes of devices with a negative guard.
+        """Switch the state of each device whose switching function, a guard, is negative.
 
         Return whether a mode changed.
         """

@@ -25,8 +25,8 @@ import numpy as np
 from scipy.linalg import lapack
 from scipy.optimize import brentq
 
+from kc2spice.core.constitutive_laws import Device
 from kc2spice.core.errors import SimulationError
-from kc2spice.core.laws import Device
 from kc2spice.reference.equilibrium import Interval, find_equilibrium, join_waves
 from kc2spice.reference.system import System
 
@@ -52,7 +52,7 @@ _MACHINE_EPSILON = float(np.finfo(float).eps)
 _ROUNDING_FACTOR = 3.0
 # The matrices below convert values at the stages of a step to the coefficients of a polynomial.
 # The cubic polynomial passes through the values at the start and at the stages.
-# The quadratic polynomial passes through the values at the stages only.
+# The quadratic polynomial passes through the values at the stages, but not through the start value.
 _CUBIC_MATRIX = np.linalg.inv(RADAU_NODES[:, None] ** _POWERS)
 _SQUARE_MATRIX = np.linalg.inv(RADAU_NODES[:, None] ** (_POWERS - 1))
 
@@ -61,9 +61,9 @@ _SQUARE_MATRIX = np.linalg.inv(RADAU_NODES[:, None] ** (_POWERS - 1))
 class Step:
     """Time step, with the changes of the unknowns from the start to each stage.
 
-    The changes are an array of shape (n, 3). ``start`` and ``length`` are in seconds. ``first``
-    contains the unknowns at the start, and ``differential`` is true for each unknown that has a
-    time derivative in the equations.
+    ``increments`` (n, 3) contains the change of each unknown from the start of the step to each
+    stage. ``start`` and ``length`` are in seconds. ``first`` contains the unknowns at the start,
+    and ``differential`` is true for each unknown that has a time derivative in the equations.
     """
 
     start: float
@@ -97,7 +97,7 @@ class Step:
         return self.first[:, None] + self._evaluate_polynomials(powers[1:], powers[:3])
 
     def compute_derivatives(self, t: np.ndarray | float) -> np.ndarray:
-        """Compute the time derivatives of the states at ``nt`` times ``t``.
+        """Compute the time derivatives of the states at each time in ``t``.
 
         Return an array of shape (n, nt).
 
@@ -249,7 +249,7 @@ class Radau:
                 return None
             if rate >= 1.0 and size > max(_MAX_ROUNDING, self.rounding):
                 estimate = _compute_rms(self._estimate_rounding(X, h) / scale[:, None])
-                # a rounding error above the tolerance counts as the tolerance
+                # the estimated rounding error, relative to the tolerance, is limited to 1
                 self.rounding = min(1.0, _ROUNDING_FACTOR * estimate)
                 if size > self.rounding:
                     return None
@@ -358,13 +358,14 @@ class Trajectory:
 
     @cached_property
     def waves(self) -> dict[str, np.ndarray]:
-        """Waves computed from the collocation polynomials, keyed by name.
+        """Waveforms computed from the collocation polynomials, keyed by name.
 
         The names are ``time``, ``NAME.pin``, ``NAME.pin.through``, ``NAME.pin.rate``,
         ``NAME.state``, and the names of additional waves of devices. Each wave has the shape (nt,).
         """
         # The output times may come from ngspice, which may round the times of corners.
-        # A corner with a rounded time belongs to the segment that ends at the corner.
+        # If rounding moves the output time of a corner slightly beyond the corner, the output time
+        # still belongs to the segment before the corner.
         ends = np.array([s.steps[-1].end_time for s in self.segments[:-1]])
         owner = np.searchsorted(ends + 4 * np.spacing(self.time[-1]), self.time, side="left")
         result = []
@@ -460,9 +461,9 @@ def _find_triggered_guard(
 ) -> int | None:
     """Find a guard function that a jump of algebraic unknowns makes negative.
 
-    ``left`` contains the values of the guard functions before the jump. The value is nan if the
-    guard function has just changed the mode of a device. Return the index of the guard function, or
-    None if no guard function becomes negative.
+    ``left`` contains the values of the guard functions before the jump. In ``left``, the value of a
+    guard function that has just changed the mode of a device is nan. Return the index of the guard
+    function, or None if no guard function becomes negative.
     """
     guards = interval.compute_guards(t, interval.solve_algebraic(t, z))
     if guards.shape != left.shape:
@@ -472,9 +473,10 @@ def _find_triggered_guard(
 
 
 def _switch_mode(system: System, modes: list[Any], fired: int) -> list[Any]:
-    """Return the modes of all devices after one guard has fallen to zero.
+    """Return all devices' switching states after a guard function has fallen to zero.
 
-    ``fired`` is the index of this guard among the guards of all devices.
+    ``fired`` is the index of the guard function that fell to zero, among the guard functions of all
+    devices.
     """
     devices_with_modes = zip(system.devices, modes, strict=True)
     counts = [
@@ -550,7 +552,7 @@ def _locate_zero(
         return brentq(compute_guard, low, t1, args=(k,), xtol=1e-18, rtol=1e-15) if crosses else t1
 
     def shorten_step(h: float) -> Step:
-        """Solve a step of length ``h``; if Newton's method fails, interpolate ``step``."""
+        """Solve a step of length ``h``; on failure, interpolate the longer ``step``."""
         stages = step.interpolate_states(t0 + h * RADAU_NODES) - step.first[:, None]
         rough = Step(t0, h, step.first, stages, step.differential)
         return solver.take_step(h) or rough

@@ -3,11 +3,11 @@
 For waveforms that consist of straight lines and sines, the transient solution of the linearised
 circuit is exact.
 
-The linear law of a part has the admittance ``Y``: the through quantity divided by the rate of the
-across quantity. The thermal noise of the part is a through quantity. The one-sided spectral density
-of the noise is ``4 k T (Y + Y^H) / 2`` per Hz (H. B. Callen, T. A. Welton, Phys. Rev. 83 (1951)
-34). This module computes the noise of a body from the responses at the ports of the body. In
-contrast, the netlist of a body contains one noise force for each mode.
+The admittance ``Y`` of a linear part is current divided by voltage, or force divided by velocity.
+The thermal noise of the part is a current or a force. The one-sided spectral density of the noise
+is ``4 k T (Y + Y^H) / 2`` per Hz (H. B. Callen, T. A. Welton, Phys. Rev. 83 (1951) 34). This module
+computes the noise of a body from the responses at the ports of the body. In contrast, the netlist
+of a body contains one noise force for each mode.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 import scipy.linalg as sla
 
-from kc2spice.core import laws as L
+from kc2spice.core import constitutive_laws as L
 from kc2spice.core.quantities import BOLTZMANN, DEFAULT_TEMPERATURE
 from kc2spice.core.waveforms import Function, Waveform
 from kc2spice.reference.equilibrium import Interval, find_equilibrium
@@ -33,8 +33,10 @@ from kc2spice.reference.system import System, assemble_system
 _MAX_BASIS_CONDITION = 1e9
 # a rigid-body mode has (rate / largest rate) below this ratio
 _RIGID_RATE_RATIO = 1e-7
-_RIGID_RATE_ROUNDINGS = 1e2  # largest rate of a rigid-body mode / rounding error
-CANCELLATION_ROUNDING = 1e-9  # rounding error of a sum of cancelling terms / terms
+# largest rate of a rigid-body mode, divided by the rate that rounding errors cause
+_RIGID_RATE_ROUNDINGS = 1e2
+# Rounding error of a sum whose terms cancel, divided by the sum of the absolute terms.
+CANCELLATION_ROUNDING = 1e-9
 # largest permitted (effect of sources on rigid-body modes / effect of sources on all modes)
 _MAX_RIGID_EFFECT = 1e-7
 
@@ -45,11 +47,13 @@ class LinearisedSystem:
     """Linearised equations ``d/dt (G X) = F X`` of deviations ``X`` from equilibrium.
 
     ``X = [z, s, s']`` contains the unknowns z, the sources s and the rates s' of the sources. The
-    outputs ``y = C0 X + d/dt C1 X`` are the waves of the system, in the order of ``System.names``.
-    If the system is linear, ``exact`` is true, and the equations are valid for motions of any size.
+    outputs ``y = C0 X + d/dt (C1 X)`` are the waveforms of the system, in the order of
+    ``System.names``. If the system is linear, ``exact`` is true, and the equations are valid for
+    motions of any size.
 
-    Devices that depend on the frequency are linearised for signals ``e^(at t)``. ``point`` may
-    contain the unknowns and the device modes in equilibrium, if already known.
+    Devices that depend on the frequency are linearised for signals ``e^(p t)``, where p is the
+    complex rate ``at`` [1/s]. ``point`` may contain the unknowns and the device modes in
+    equilibrium, if already known.
 
     Raises
     ------
@@ -93,7 +97,10 @@ class LinearisedSystem:
         )
 
     def respond(self, w: complex, amplitudes: np.ndarray) -> np.ndarray:
-        """Compute the output amplitudes (ny,) for sources ``amplitudes e^(w t)``."""
+        """Return the output amplitudes for sources that vary as ``amplitudes * exp(w t)``.
+
+        ``w`` [1/s] is complex, and the result has the shape (ny,).
+        """
         X = self._solve_unknowns(w, amplitudes)
         return np.asarray(self.C0 @ X + w * (self.C1 @ X))
 
@@ -106,22 +113,25 @@ class LinearisedSystem:
         return self._compute_term_sizes(slice(None), X[:, None], np.array([w]))[:, 0]
 
     def _solve_unknowns(self, w: complex, amplitudes: np.ndarray) -> np.ndarray:
-        """Return the amplitudes of unknowns, sources and source rates at the rate ``w``.
+        """Return amplitudes of unknowns, sources and source derivatives for ``exp(w t)``.
 
-        The array ``X`` has the shape (N,). The sources are ``amplitudes e^(w t)``.
+        The array ``X`` has the shape (N,). At the time t, the sources are ``amplitudes * exp(w t)``
+        with the complex rate ``w`` [1/s].
         """
         n, sources = self.system.size, np.concatenate((amplitudes, w * amplitudes))
         P = w * self.G - self.F
-        # The rows of the system are scaled without the devices, which may depend on the frequency.
-        # Therefore, the rows of P are scaled again with the devices.
+        # The row scales of the system are computed without devices, whose equations may depend on
+        # the frequency.
+        # Therefore, the rows of P, which include the devices, are scaled again.
         size = np.abs(P[:, :n]).max(axis=1)
         z = np.linalg.solve(P[:, :n] / size[:, None], -P[:, n:] @ sources / size)
         return np.concatenate((z, sources))
 
     def _compute_term_sizes(self, columns: slice, X: np.ndarray, rates: np.ndarray) -> np.ndarray:
-        """Return the sum of the absolute terms in each output, an array (ny, m).
+        """Compute the sum of the magnitudes of all terms in each output, an array (ny, m).
 
-        For ``columns`` of C0 and C1, the sums are ``|C0| |X| + |C1| |X rates|``.
+        The sums of the absolute terms are ``|C0| |X| + |C1| |dX/dt|``, where ``dX/dt`` is ``rates *
+        X``. Only the ``columns`` of C0 and C1 are used.
         """
         now, rated = self._sizes
         return np.asarray(now[:, columns] @ np.abs(X) + rated[:, columns] @ np.abs(X * rates))
@@ -157,24 +167,25 @@ class LinearisedSystem:
         return _compute_finite_eigenvalues(self.F[:, :n], self.G[:, :n])
 
     def combine_output_rows(self, of: L.WaveCombination) -> tuple[np.ndarray, np.ndarray]:
-        """Return the rows of the output matrices C0 and C1 for a combination of waves.
+        """Combine rows of the output matrices C0 and C1 for a weighted sum of results.
 
-        The result ``of`` is a linear combination of waves, and the row vectors are the same linear
-        combination of the rows of ``C0`` and ``C1``.
+        ``of`` defines a linear combination of results. The returned row vectors are linear
+        combinations of the rows of ``C0`` and ``C1`` with the weights in ``of``.
         """
         names = self.system.names
         rows = of.combine(dict(zip(names, self.C0, strict=True)))
         return rows, of.combine(dict(zip(names, self.C1, strict=True)))
 
     def find_zeros(self, of: L.WaveCombination, amplitudes: np.ndarray) -> np.ndarray:
-        """Compute the zeros of the transfer function from all sources to one result.
+        """Compute the zeros of the transfer function from all sources to one output.
 
         The zeros are an array (m,) of complex rates ``w`` [1/s]. At the rate ``w`` of a zero, the
-        result is zero for sources ``amplitudes e^(w t)``. The sources are written as ``amplitudes
-        u``, and the rates of the sources as ``amplitudes v`` with ``v = w u``. The zeros are the
-        eigenvalues of a generalised linear problem for ``[z, u, v]``. The rows of the problem are
-        the equations of the circuit, the equation ``w u = v``, and the condition that the result is
-        zero (H. H. Rosenbrock, State-Space and Multivariable Theory (1970)).
+        output ``of`` is zero for sources ``amplitudes * e^(w t)``. With the scalars u and v, the
+        sources are ``amplitudes * u``, and the time derivatives of the sources are ``amplitudes *
+        v``, where ``v = w * u``. The zeros are the eigenvalues of a generalised linear problem for
+        ``[z, u, v]``. The problem consists of the circuit equations, the definition ``v = w * u``
+        of the scalar v, and the condition that the output is zero. The method is described in
+        Rosenbrock, State-Space and Multivariable Theory (1970).
         """
         n, k = self.system.size, len(self.system.sources)
         C0, C1 = self.combine_output_rows(of)
@@ -246,11 +257,11 @@ class LinearisedSystem:
     def _compute_line_responses(
         self, motion: _FreeMotion, rates: np.ndarray, shapes: np.ndarray, drives: list[np.ndarray]
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the static gains and slope responses of the outputs to linear ramps.
+        """Return each output's responses to the value and to the slope of a linear ramp.
 
-        Both arrays have the shape (sources, ny).
-
-        If a source u is a linear ramp, an output is ``gain u + response du/dt``.
+        If a source u is a linear ramp, an output is ``gain u + response du/dt``. The returned
+        arrays ``gain`` and ``response`` have one row for each source and one column for each of the
+        ny outputs.
 
         The amplitudes of the modes, ``a' = rates a + d0 u + d1 du/dt``, are ``-d0 u / rates - (d0 /
         rates^2 + d1 / rates) du/dt`` for a ramp. At the beginning of a steep ramp, the free motion
@@ -295,7 +306,7 @@ class LinearisedSystem:
 
 
 def solve_ac(system: System, frequencies: np.ndarray) -> dict[str, np.ndarray]:
-    """Compute the ac response of all waves, keyed by name.
+    """Solve for the ac responses of all across and through quantities, keyed by name.
 
     The waves are complex arrays of shape (nf,). The amplitude of each source is the attribute
     ``ac`` of the source. The system is linearised about the operating point. The names are
@@ -332,7 +343,7 @@ def _decompose_motion(F: np.ndarray) -> tuple[Any, np.ndarray, np.ndarray, np.nd
 
 
 def _sort_by_rate(F: np.ndarray, limit: float) -> tuple[np.ndarray, np.ndarray, int]:
-    """Return the Schur form and vectors of F, fast rates first, and their number.
+    """Return the Schur form and Schur vectors of F, and the number of fast rates.
 
     The fast rates are the eigenvalues of ``F`` with magnitudes above ``limit``. In the Schur form,
     the fast rates come first. The second result contains the Schur vectors.
@@ -342,12 +353,12 @@ def _sort_by_rate(F: np.ndarray, limit: float) -> tuple[np.ndarray, np.ndarray, 
 
 
 def _estimate_rigid_rate(T: np.ndarray, size: float) -> float:
-    """Estimate the largest rate [1/s] of rigid-body modes due to rounding errors.
+    """Estimate the largest rate [1/s] that rounding errors give to rigid-body modes.
 
-    ``T`` is the Schur form of the slow modes. The rounding error of ``F`` is ``e = eps size``. The
-    rounding error shifts a simple eigenvalue of zero by ``e``, and the two eigenvalues of a
-    rigid-body mode ``x' = c v, v' = 0`` by ``sqrt(c e)``. Slow relaxations of a circuit have larger
-    rates.
+    ``T`` is the Schur form of the slow modes. The rounding error of ``F`` is ``e = eps * size``,
+    where ``size`` is the largest magnitude of an eigenvalue of ``F``. The rounding error shifts a
+    simple eigenvalue of zero by ``e``, and the two eigenvalues of a rigid-body mode ``x' = c v, v'
+    = 0`` by ``sqrt(c e)``. Even slow relaxations of a circuit are faster than the returned rate.
     """
     e = float(np.finfo(float).eps) * size
     c = float(np.linalg.norm(np.triu(T, 1)))
@@ -372,9 +383,10 @@ def _find_kinks(k: int, wave: Waveform, stop: float) -> list[tuple[float, int, f
 class _FreeMotion:
     """Homogeneous equations ``x' = rates x`` of the states ``x`` of a circuit.
 
-    The algebraic unknowns are ``follow x``. ``inverse`` is the inverse of the block of ``G`` for
-    the states. ``cut`` maps right-hand sides of the algebraic equations to right-hand sides of the
-    state equations. ``inner`` is the inverse of the block of ``F`` for the algebraic unknowns.
+    The algebraic unknowns are the matrix product ``follow @ x``. ``inverse`` is the inverse of the
+    block of ``G`` for the states. ``cut`` maps right-hand sides of the algebraic equations to
+    right-hand sides of the state equations. ``inner`` is the inverse of the block of ``F`` for the
+    algebraic unknowns.
     """
 
     rates: np.ndarray
@@ -386,14 +398,15 @@ class _FreeMotion:
 
 @dataclass(frozen=True, eq=False)
 class Modes:
-    """Eigenmodes with amplitudes ``a_i``, where ``a_i' = rates_i a_i + drive_i u``.
+    """Eigenmodes with amplitudes ``a_i``: ``a_i' = rates_i * a_i + drive_i * u``.
 
-    The vector ``u`` contains the sources. The waves are ``y = level + sum_i out_i a_i``.
+    The vector ``u`` contains the sources. The waves are ``y = level + sum_i out_i * a_i``.
 
     The products of ``out`` and ``drive`` are the residues at the poles ``rates`` [1/s]. Each entry
-    of ``out`` is a sum; ``terms`` contains the sums of the absolute values of all summands.
-    ``start`` contains the amplitudes at t = 0. ``level`` is the static solution for the values of
-    the sources at t = 0. ``static_gains`` are the responses to constant sources.
+    of ``out`` is the sum of the contributions of all unknowns to one waveform in one mode. The
+    corresponding entry of ``terms`` is the sum of the absolute values of the contributions of all
+    unknowns. ``start`` contains the amplitudes at t = 0. ``level`` is the static solution for the
+    values of the sources at t = 0. ``static_gains`` are the responses to constant sources.
     ``slope_responses`` are the additional responses to a source that is a straight line, per slope
     of the line.
 
@@ -421,7 +434,8 @@ class Modes:
 class ExponentialSolution:
     """Exact transient solution of a linear circuit.
 
-    Between the corners of the sources, the solution is a sum of exponentials, lines and sines.
+    Between two successive :attr:`corner_times` of the sources, the solution is a sum of exponential
+    functions, straight lines and sines.
     """
 
     linear: LinearisedSystem
@@ -449,12 +463,13 @@ class ExponentialSolution:
         rates: RateMap | None = None,
         axis: RateMap | None = None,
     ) -> np.ndarray:
-        """Compute the waves with the indices ``outputs`` at the increasing times ``t``.
+        """Compute the waveforms with indices ``outputs`` at the increasing times ``t``.
 
-        Return an array of shape (nt, len(outputs)). By default, the waves are exact. With ``rates``
-        and ``axis``, the result contains the waves that a numerical integration method computes.
-        The function ``rates`` maps the rate of each mode to the rate in the numerical solution. The
-        function ``axis`` maps the frequency ``j w`` of each sine.
+        Return an array of shape (nt, len(outputs)). By default, the waves are exact. With the
+        functions ``rates`` and ``axis``, the waves are those that a numerical integration method
+        would compute, including its errors. The function ``rates`` maps the rate of each mode to
+        the rate in the numerical solution. The function ``axis`` maps the frequency ``j w`` of each
+        sine to the complex frequency at which the response to the sine is evaluated.
         """
         poles = self.modes.rates
         moved = poles if rates is None else rates(poles)
@@ -478,9 +493,10 @@ class ExponentialSolution:
         return y
 
     def _list_intervals(self, moved: np.ndarray) -> list[tuple[float, float, np.ndarray]]:
-        """Return start, end and initial mode amplitudes of each interval between corners.
+        """List start, end and mode amplitudes of each interval between source corners.
 
-        ``moved`` is an array (m,) of the rates at which the amplitudes change within an interval.
+        ``moved`` is an array (m,) of exponential rates [1/s]. Within an interval, the amplitude of
+        mode k is proportional to ``exp(moved[k] * t)``.
         """
         poles, drive = self.modes.rates, self.modes.drive
         amplitude_jumps: dict[float, np.ndarray] = {0.0: self.modes.start.astype(complex)}
@@ -500,16 +516,16 @@ class ExponentialSolution:
         return result
 
     def find_peak_amplitudes(self) -> np.ndarray:
-        """Return the largest amplitude (m, ny) of each mode in each wave."""
+        """Return the largest amplitude (m, ny) of each of m modes in each of ny waveforms."""
         return np.asarray(self._largest_amplitudes[:, None] * np.abs(self.modes.out.T))
 
     def estimate_rounding(self) -> np.ndarray:
-        """Estimate the rounding error of each wave due to terms that cancel each other.
+        """Estimate the rounding error of each waveform due to terms that cancel.
 
         For example, the forces on a joint without mass and the currents into a node add up to zero.
         A computed sum of terms that cancel each other is a rounding error, which a shorter time
-        step does not reduce. The estimate is :data:`CANCELLATION_ROUNDING` times the absolute
-        values of the terms of all modes and sines.
+        step does not reduce. The estimate is :data:`CANCELLATION_ROUNDING` times the sum of the
+        magnitudes of all terms, which come from modes and from sinusoidal sources.
         """
         result = self.modes.terms @ self._largest_amplitudes
         unit = np.eye(len(self.waves))
@@ -520,14 +536,14 @@ class ExponentialSolution:
 
     @cached_property
     def _largest_amplitudes(self) -> np.ndarray:
-        """Largest amplitude (m,) of each mode among the starts of all intervals."""
+        """Largest amplitudes (m,) that the modes have at the start of any interval."""
         amplitudes = np.array([*map(itemgetter(2), self._list_intervals(self.modes.rates))])
         return np.asarray(np.abs(amplitudes).max(axis=0))
 
     def choose_sample_times(self, count: int) -> np.ndarray:
-        """Choose sample times [s] that resolve the motion after corners of the sources.
+        """Choose sample times [s] that resolve the motion after slope jumps of sources.
 
-        Additional times follow the first eight and the last eight corners.
+        Additional sample times follow each of the first eight and last eight :attr:`corner_times`.
         """
         spread = np.random.default_rng(0).uniform(0.0, self.stop, count)
         corners = self.corner_times

@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 import scipy.linalg as sla
 
-from kc2spice.core import laws as L
+from kc2spice.core import constitutive_laws as L
 from kc2spice.core.domains import ACCELERATION
 from kc2spice.core.errors import UsageError
 
@@ -41,9 +41,10 @@ class PlacedDevice:
     """
 
     law: L.Device
-    inputs: np.ndarray  # (m, N) matrix from X to the inputs
-    into: np.ndarray  # (n, k) matrix from the outputs to f
-    # (n, stored) matrix from the stored quantities to g; None if states are the stored quantities
+    inputs: np.ndarray  # (m, N) matrix that maps unknowns and sources X to the device inputs
+    into: np.ndarray  # (n, k) matrix that maps the device outputs to the right-hand sides f
+    # (n, stored) matrix that maps the stored quantities of the device to g;
+    # None if the states of the device are its stored quantities
     stores: np.ndarray | None
     states: np.ndarray  # indices of the device's states among the unknowns
     first: int  # index of the device's first output among the outputs of all devices
@@ -64,7 +65,11 @@ class PlacedDevice:
 
 @dataclass(frozen=True, eq=False)
 class InitialValue:
-    """Initial condition of a law: ``row @ X = value`` and ``rate @ X = speed``."""
+    """Initial value and rate of change of a law's input, as equations of unknowns.
+
+    At the start, the unknowns X fulfil ``row @ X = value`` for the initial value, and ``rate @ X =
+    speed`` for the initial rate of change.
+    """
 
     row: np.ndarray
     value: float
@@ -76,11 +81,13 @@ class InitialValue:
 
 @dataclass(frozen=True, eq=False)
 class System:
-    """Equations of a circuit without constraints, and matrices for all waves.
+    """System of circuit equations, and matrices that map its unknowns to waveforms.
 
-    The waves are ``now X + d/dt (rated X) + direct (outputs of all devices) + constant`` in the
-    order of ``names``. Linear laws store the energy ``X' stored X + lifted X`` [J] and lose the
-    power ``X' dissipated X`` [W].
+    Constraints are eliminated from the equations.
+
+    The waveforms are ``now @ X + d/dt (rated @ X) + direct @ (outputs of all devices) + constant``
+    in the order of ``names``. All elements with linear laws together store the energy ``X' @ stored
+    @ X + lifted @ X`` [J] and dissipate the power ``X' @ dissipated @ X`` [W].
     """
 
     G: np.ndarray  # (n, N) matrix of the stored quantities g
@@ -95,9 +102,9 @@ class System:
     linear: tuple[PlacedDevice, ...]
     initial_values: tuple[InitialValue, ...]
     names: tuple[str, ...]
-    now: np.ndarray  # (W, N) matrix from X to the waves
+    now: np.ndarray  # (W, N) matrix that maps X to the waveforms
     rated: np.ndarray
-    direct: np.ndarray  # (W, K) matrix from the outputs of all devices to the waves
+    direct: np.ndarray  # (W, K) matrix that maps the outputs of all devices to the waveforms
     constant: np.ndarray
     stored: np.ndarray  # (N, N) quadratic form of the stored energy
     lifted: np.ndarray  # (N,) linear form of the stored energy
@@ -111,12 +118,12 @@ class System:
     def evaluate_source_derivatives(
         self, t: np.ndarray | float, within: float, order: int = 0
     ) -> np.ndarray:
-        """Evaluate two successive time derivatives of all sources at the times ``t``.
+        """Evaluate derivatives of orders ``order`` and ``order + 1`` of all sources.
 
-        Return an array of shape (2 sources,) for one time, or (2 sources, nt) for ``nt`` times. The
-        first half of the array contains the derivatives of order ``order``, and the second half the
-        derivatives of order ``order + 1``. If a waveform has corners, the derivatives belong to the
-        smooth piece of the waveform that contains the time ``within``.
+        Return an array of shape (2 * sources,) for one time, or (2 * sources, nt) for ``nt`` times.
+        The first half of the array contains the derivatives of order ``order``, and the second half
+        the derivatives of order ``order + 1``. If a waveform has corners, the derivatives belong to
+        the smooth piece of the waveform that contains the time ``within``.
         """
         result = []
         for k in (order, order + 1):
@@ -131,7 +138,8 @@ def assemble_system(
     """Assemble the equations of a circuit: laws whose pins are joined at nets.
 
     ``joins`` maps the name of each net to the pins ``NAME.pin`` of the net. All pins of a net have
-    the same kind. The net ``gnd`` is the reference node for every kind.
+    the same kind, such as electrical or mechanical. The net ``gnd`` is the reference node for every
+    kind of pin.
 
     Raises
     ------
@@ -154,9 +162,10 @@ def _require_few_unknowns(count: int, max_unknowns: int | None) -> None:
 
 
 class _Assembly:
-    """Equations of the laws before the elimination of constraints.
+    """Assembled equations of a circuit before the elimination of constraints.
 
-    Rows of displacements are force balances. Rows of node voltages are current balances.
+    The equation in the row of a displacement is the force balance at this displacement. The
+    equation in the row of a node voltage is the current balance of this node.
     """
 
     def __init__(self, laws: tuple[L.Law, ...], joins: Mapping[str, Iterable[str]]) -> None:
@@ -173,12 +182,16 @@ class _Assembly:
         self._number_unknowns()
         n = self.size
         self.M, self.A, self.const = np.zeros((n, n)), np.zeros((n, n)), np.zeros(n)
-        # matrix whose entries are nonzero for displacements whose velocities are unknowns
+        # The entry (i, i) of ``moving`` is nonzero if the velocity of displacement i is an unknown.
         self.moving = np.zeros((self.nq, self.nq))
-        self.charged = np.zeros((n, n))  # nonzero entries: voltages that change charges of devices
+        # matrix with nonzero entries for pairs of voltages between which a device stores charge
+        self.charged = np.zeros((n, n))
         self.sources = tuple(p for p in laws if isinstance(p, L.IdealSource))
         self.S = np.zeros((n, len(self.sources)))
-        # constraints: linear forms of the unknowns, and masks of the sources with equal values
+        # Each constraint is a pair: a linear form of the unknowns, and a mask of the sources.
+        # If the mask of a constraint marks a source, the linear form equals the value of this
+        # source.
+        # If the mask of a constraint marks no source, the linear form is zero.
         self.constraints: list[tuple[np.ndarray, np.ndarray]] = []
         self.forms = {"stored": np.zeros((n, n)), "dissipated": np.zeros((n, n))}
         self.lifted = np.zeros(n)
@@ -316,8 +329,8 @@ class _Assembly:
     def add_constraint(self, form: np.ndarray, source: int) -> None:
         """Add a constraint that sets a linear form of the unknowns to a source value.
 
-        The constraint is ``form @ raw = s[source]`` on the unknowns ``raw``. If ``source`` is -1,
-        the right-hand side is zero.
+        The equation ``form @ raw = s[source]`` relates the unknowns ``raw`` of the circuit to the
+        values ``s`` of the sources. If ``source`` is -1, the right-hand side is zero.
         """
         self.constraints.append((form, np.arange(len(self.sources)) == source))
 
@@ -345,8 +358,10 @@ class _Assembly:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Compute a basis that satisfies the constraints, and the motions due to sources.
 
-        Return the basis and the matrix R. The source values ``s`` prescribe the motion ``R s``.
-        ``sizes`` contains the typical sizes of the unknowns in the slice ``where``.
+        The columns of the first returned matrix are a basis of all motions that satisfy the
+        constraints if all sources are zero. The second returned matrix R gives the motion ``R s``
+        that the source values ``s`` prescribe. ``sizes`` contains the typical sizes of the unknowns
+        in the slice ``where``.
         """
         pairs = [(f[where] * sizes, by) for f, by in self.constraints if f[where].any()]
         R = np.zeros((sizes.size, len(self.sources)))
@@ -410,7 +425,8 @@ class _Assembly:
         Ts, Td = np.zeros((n, len(self.sources))), np.zeros((n, len(self.sources)))
         Ts[:nq], Ts[vol], Td[vel] = Rq, Rv, Rq
         A, M = W.T @ self.A @ T, W.T @ self.M @ T
-        for k, j in enumerate(cols):  # equations ``p' = speed v`` of the displacements p
+        # The rate of each displacement p is ``p' = speed * v``, with the scaled velocity v.
+        for k, j in enumerate(cols):
             M[j, j], A[j, p + k] = 1.0, speed[j]
         if not p + d + w + others:
             A[0, 0] = -1.0
@@ -461,11 +477,11 @@ class _Assembly:
     def _make_wave_matrices(
         self, expansion: np.ndarray, devices: list[PlacedDevice], outputs: int
     ) -> dict[str, Any]:
-        """Return matrices for all waves: across quantities, through quantities, states.
+        """Make the matrices that compute all waveforms from the solution.
 
-        The names of the waves are ``NAME.pin``, ``NAME.pin.through`` and ``NAME.state``. Mechanical
-        pins also have a wave ``NAME.pin.rate``. The force or current of a source is the residual of
-        the balances before the elimination of constraints.
+        The waveforms are across quantities ``NAME.pin``, through quantities ``NAME.pin.through``
+        and states ``NAME.state``. Mechanical pins also have a wave ``NAME.pin.rate``. The force or
+        current of a source is the residual of the balances before the elimination of constraints.
         """
         size, sources = expansion.shape[1], len(self.sources)
         rows: dict[str, tuple[Any, Any, Any, float]] = {}
@@ -523,8 +539,9 @@ def _stack_rows(rows: Iterable[Any], width: int) -> np.ndarray:
 def _separate_columns(basis: np.ndarray, pattern: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Rotate a basis so that some columns are in the null space of ``pattern``.
 
-    The matrix ``pattern`` is positive semidefinite. The null space contains as many columns as
-    possible. Return the basis, and a mask of the columns that are not in the null space.
+    The matrix ``pattern`` is positive semidefinite. The rotation moves as many basis columns as
+    possible into the null space of ``pattern``. Return the rotated basis, and a mask of the basis
+    columns that are not in the null space of ``pattern``.
     """
     reduced = basis.T @ pattern @ basis
     reduced = 0.5 * (reduced + reduced.T)

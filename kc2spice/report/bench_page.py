@@ -49,7 +49,7 @@ def format_bench(record: Mapping[str, Any]) -> list[PageSection]:
 
 
 def _make_setting_row(point: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return the table row of a setting: errors, CPU time and spread of the CPU time."""
+    """Return the table row of one tried setting: errors and CPU times of its runs."""
     low, high = point["time_low_s"], point["time_high_s"]
     return (
         point["label"],
@@ -70,16 +70,16 @@ def format_recommendation(record: Mapping[str, Any]) -> list[tuple[str, str]]:
     best, reference = record["recommended"], record["reference"]
     rows = [
         ("error of", _list_metrics(record["metrics"])),
-        ("the scene as it is", _format_cost(current)),
+        ("the scene as it is", _format_error_and_cpu_time(current)),
     ]
     if best is None:
         nearest = min(record["points"], key=lambda p: max(p["error"], p["bound"]))
         rows.append((f"within {record['limit']:g}", "none of the settings"))
-        rows.append(("nearest", f"{nearest['label']}: {_format_cost(nearest)}"))
+        rows.append(("nearest", f"{nearest['label']}: {_format_error_and_cpu_time(nearest)}"))
     else:
         words = " ".join(map(shlex.quote, best["set"])) or "the scene as it is"
         rows.append((f"cheapest within {record['limit']:.2g}", words))
-        rows.append(("", _format_cost(best)))
+        rows.append(("", _format_error_and_cpu_time(best)))
     rows.append(
         ("reference", f"{reference['label']}: {format_quantity(reference['time_s'], 's', 3)}")
     )
@@ -102,8 +102,8 @@ def _list_metrics(metrics: Sequence[str]) -> str:
     return ", ".join(n if count == 1 else f"{n} ({count} curves)" for n, count in groups.items())
 
 
-def _format_cost(point: Mapping[str, Any]) -> str:
-    """Return the error, error bound and CPU time of a setting as one string."""
+def _format_error_and_cpu_time(point: Mapping[str, Any]) -> str:
+    """Format the error, error bound and CPU time of a setting as one string."""
     bound = f"{point['bound']:.1e} if nothing cancelled"
     return (
         f"error {point['error']:.1e} ({bound}) in {format_quantity(point['time_s'], 's', 3)} of CPU"

@@ -11,7 +11,7 @@ import numpy as np
 
 from kc2spice.core.figure import Shape
 from kc2spice.report.html import render_page
-from kc2spice.scene.model import Scene
+from kc2spice.scene.scene_classes import Scene
 
 # Lengths in SVG units.
 SKETCH_WIDTH = 520.0  # largest width of the side view

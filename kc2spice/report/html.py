@@ -19,7 +19,7 @@ from typing import Any
 from kc2spice.core import __version__
 from kc2spice.core.figure import Figure
 from kc2spice.core.si_prefix_format import format_quantity
-from kc2spice.netlist.spelling import get_template_environment
+from kc2spice.netlist.number_and_name_spelling import get_template_environment
 from kc2spice.report.charts import render_figure
 
 # Words in labels that replace words in keys of `result.json`.
@@ -164,7 +164,7 @@ def write_page(
 
 
 def _get_command_line() -> list[str]:
-    """Return the kc2spice command line in a list; empty if another program runs.
+    """Return a list with the kc2spice command line; an empty list for other programs.
 
     The list is empty if the running program is not kc2spice.
     """

@@ -25,9 +25,10 @@ from kc2spice.report.html import (
     format_value,
     write_page,
 )
-from kc2spice.scene.model import Scene, compute_scene_hash
+from kc2spice.scene.scene_classes import Scene, compute_scene_hash
 
-MIN_METRICS = 4  # number of metrics that a summary contains even if there are rows of assumptions
+# Each row of assumptions replaces one metric of a summary, but at least MIN_METRICS remain.
+MIN_METRICS = 4
 OPERATING_RESULTS = 6  # largest number of operating-point results in a summary
 LEAD_TEXT = "Finite-element models, reduced, exported as a netlist and run in ngspice."
 NETS_NOTE = (
@@ -181,7 +182,7 @@ def format_summary(result: Mapping[str, Any], most: int | None = None) -> PageSe
     checks = result.get("checks", ())
     left_out = result.get("plan", {}).get("left_out", ())
     assumed = [row for row in left_out if row["summarised"]]
-    # rows of assumptions replace rows of metrics, except for the first MIN_METRICS metrics
+    # In a short table, each assumption takes the place of a metric, down to MIN_METRICS metrics.
     fewer = None if most is None else max(most - len(assumed), min(most, MIN_METRICS))
     violated = [check for check in checks if not check["passed"]]
     point = format_operating_point(result, OPERATING_RESULTS)
@@ -199,7 +200,8 @@ def format_summary(result: Mapping[str, Any], most: int | None = None) -> PageSe
 def _make_violation_row(check: Mapping[str, Any]) -> tuple[str, str]:
     """Return the summary row of a violated check: name, value and limit."""
     value, limit = format_value_and_limit(check["value"], check["limit"], check["unit"])
-    if " " in check["unit"]:  # a unit of several words occurs only once, after the value
+    # A unit of several words is written after the value, and not repeated after the limit.
+    if " " in check["unit"]:
         limit = limit.removesuffix(f" {check['unit']}")
     return "VIOLATED", f"{_label_check(check)}: {value}, limit {limit}"
 
@@ -271,7 +273,7 @@ def _replace_rounding_error(value: Any, scales: Mapping[str, float], unit: str) 
 
 
 def format_above_band(certificate: Mapping[str, Any]) -> Rows:
-    """Return table rows of the compliance errors at frequencies above the band."""
+    """Return table rows of the mechanical compliance's errors above the band."""
     frequencies = certificate.get("above_band_hz", ())
     errors = certificate.get("above_band_compliance_error", ())
     rows = []

@@ -18,13 +18,13 @@ from scipy.stats import binomtest
 from kc2spice.core.figure import ColourMap, Curve, Figure, Panel, format_axis_label
 from kc2spice.core.si_prefix_format import format_quantity
 from kc2spice.report.html import PageSection, format_value, label_key, write_page
-from kc2spice.scene.model import Scene
+from kc2spice.scene.scene_classes import Scene
 
 CONFIDENCE_LEVEL = 0.95  # probability of the confidence intervals of yields
 NUMBER_TYPES = (float, int, bool)  # types of the values in a column of numbers
 # Metrics with a smaller relative difference, a rounding error of the simulator, count as equal.
 EQUALITY_TOLERANCE = 1e-9
-MAX_LISTED_VALUES = 10  # largest number of listed values of a key whose values are strings
+MAX_LISTED_VALUES = 10  # largest number of text values that the page lists for a swept key
 
 Table = Mapping[str, Sequence[Any]]
 Axis = tuple[str, np.ndarray]  # axis label with unit, and values along the axis
@@ -42,13 +42,13 @@ def _convert_to_numbers(column: Sequence[Any]) -> np.ndarray:
 
 
 def compute_yields(table: Table, keys: Sequence[str]) -> dict[str, dict[str, float]]:
-    """Compute the yield of each metric that is true or false.
+    """Compute the yield of each metric whose values are only true or false.
 
     The yield is the share of the points at which the metric is true, with a confidence interval. At
     a point that failed, the metric counts as false. The interval is exact (Clopper and Pearson,
     1934): the probability that the interval contains the true share is at least
-    :data:`CONFIDENCE_LEVEL`. The yield is valid for the population of devices only if the keys were
-    random.
+    :data:`CONFIDENCE_LEVEL`. The yield applies to the population of devices only if the values of
+    the swept keys are random samples.
     """
     result = {}
     for name, column in table.items():
@@ -73,8 +73,8 @@ def write_sweep(
     """Write the page of a sweep, with its table of results, to ``path``.
 
     ``units`` contains the units of the swept keys, and ``metric_units`` the units of the metrics.
-    ``random`` are the names of the random keys. ``plan`` is a string with the number of points.
-    ``shares`` is the result of :func:`compute_yields`.
+    ``random`` are the names of the random keys. ``plan`` is a text that states the number of
+    points. ``shares`` is the result of :func:`compute_yields`.
     """
     metrics = []
     spread = []

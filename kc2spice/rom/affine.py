@@ -2,8 +2,8 @@
 
 A matrix is ``M(p) = sum_i f_i(p) M_i``. The matrices M_i come from another program, and the factors
 are functions of the parameters. The reduced model is a
-:class:`kc2spice.rom.range_reduction.ModelOverRanges`. A body of a scene has a reduced model of the
-same class if keys of the body are parameters of the netlist.
+:class:`kc2spice.rom.range_reduction.ModelOverRanges`. If keys of a scene's body are parameters of
+the netlist, the reduced model of the body is also a ``ModelOverRanges``.
 """
 
 from __future__ import annotations
@@ -77,9 +77,10 @@ class ModelParameter:
 
 @dataclass(frozen=True, eq=False)
 class AffineTerm:
-    """Term ``factor(p) matrix`` of a sum that defines one matrix of a model.
+    """Term ``factor(p) * matrix`` of a sum that defines one matrix of a model.
 
-    ``letter`` is the name of the matrix: K or M, or in a heat model K or E. ``description`` is the
+    ``letter`` names the matrix that contains the term: the stiffness K or the mass M. In a heat
+    model, the matrix is the thermal conductance K or the heat capacity E. ``description`` is the
     name of the factor in error messages.
     """
 
@@ -210,7 +211,7 @@ class AffineModel:
 
     @property
     def parametric_letters(self) -> str:
-        """Letters of the matrices that may depend on parameters."""
+        """Letters of the matrices that may depend on parameters, such as K for stiffness."""
         return "EK" if self.conducts_heat else "MK"
 
     @property
@@ -369,7 +370,7 @@ def _make_indefinite_error(affine: AffineModel, got: str) -> UsageError:
 
 def _reduce_heat(task: RangeTask) -> ModelOverRanges:
     """Reduce heat models, whose inputs are heat flows, over ranges of parameters."""
-    from kc2spice.rom.heat_range_reduction import (
+    from kc2spice.rom.heat_model_reduction_over_ranges import (
         HeatReduction,
     )  # imported here: only needed for heat models
 
@@ -392,10 +393,10 @@ def _complete_rayleigh_factors(model: LinearModel) -> LinearModel:
     """
     if model.structural:
         raise UsageError(
-            "a model with parameters needs damping in proportion to mass and stiffness",
+            "a model with parameters needs Rayleigh damping in place of structural damping",
             where=model.name,
             got="structural damping",
-            expected="either the keys alpha and beta of the damping, or the keys ratio and at",
+            expected="either `alpha` and `beta`, or `ratio` and `at`, in the table damping",
         )
     if model.rayleigh is None and model.pencil.is_undamped:
         return replace(model, E=None, rayleigh=(0.0, 0.0))

@@ -24,7 +24,7 @@ from kc2spice.rom.rounding import ZERO_ENTRY_FACTOR
 BAND_MODES = 5
 MAX_DENSE_EQUATIONS = 200  # all poles are computed if a model has at most this size
 BAND_MARGIN = 1.1  # ratio of the upper band limit to the highest natural frequency in the band
-# shift for models with massless unknowns / (largest stiffness / largest mass)
+# Shift for models with massless unknowns, divided by the ratio largest stiffness / largest mass.
 MASSLESS_SHIFT = 1e-6
 # shift that separates rigid-body modes in the Lanczos method, relative to the largest K_ii / M_ii
 RIGID_SHIFT = 1e-9
@@ -34,7 +34,7 @@ EIGENVALUE_TOLERANCE = 1e-9  # largest permitted relative error of eigenvalues b
 
 
 def choose_natural_band(pencil: Pencil) -> tuple[float, float]:
-    """Choose the band ``(0, f)`` [Hz] from the fifth lowest natural frequency.
+    """Choose a band from 0 Hz to slightly above the fifth lowest natural frequency.
 
     The band ends a little above the fifth natural frequency of the full model. For second-order
     models, natural frequencies are undamped; for first-order models, natural frequencies are corner
@@ -65,6 +65,19 @@ def choose_natural_band(pencil: Pencil) -> tuple[float, float]:
                 got="a negative number on the diagonal",
                 expected="a mass matrix without negative eigenvalues",
                 hint="change the sign of M",
+            )
+        stiffness = pencil.coefficients[0]
+        if (
+            pencil.degree == 2
+            and not isinstance(stiffness, SchurComplement)
+            and (stiffness.diagonal() < 0).any()
+        ):
+            raise UsageError(
+                "a stiffness is negative",
+                where="matrix K",
+                got="a negative number on the diagonal",
+                expected="a stiffness matrix without negative eigenvalues",
+                hint="change the sign of K",
             )
         raise UsageError(
             "the frequency band is missing, and the model has no natural frequency",

@@ -20,20 +20,22 @@ omitted.
 
 The fit minimises the sum of squares of log(Y / Y_measured) over the logarithms of all parameters
 (Levenberg and Marquardt; J. J. More, Lecture Notes in Mathematics 630 (1978) 105). For small
-deviations, log(Y / Y_measured) is the relative deviation of Y. Unlike the relative deviation, the
-logarithm grows without limit as Y approaches zero.
+deviations, log(Y / Y_measured) is the relative deviation of Y. As the fitted admittance Y
+approaches zero, the magnitude of log(Y / Y_measured) grows without limit, but the relative
+deviation of Y only approaches 1.
 
 Elements are added one by one. The start value for the frequency of a resonance is the frequency of
-the largest conductance that no element describes yet. The start values for time constants of
-relaxations and inductances are on a grid. The start values of leads are fractions of the largest
-possible lead impedance. An element remains if the element reduces the Bayesian information
-criterion (G. Schwarz, Ann. Statist. 6 (1978) 461). An element is removed if the removal reduces the
-criterion. Leads replace branches whose frequencies are above the band.
+the largest conductance that no element describes yet. The start values for the time constants of
+R-C branches and of R-L branches are on a logarithmic grid. The start values of leads are fractions
+of the largest possible lead impedance. An element remains if the element reduces the Bayesian
+information criterion (G. Schwarz, Ann. Statist. 6 (1978) 461). An element is removed if the removal
+reduces the criterion. Series leads, R or L, replace branches whose resonance or corner frequency is
+above the band.
 
 Rounding errors of the samples do not change the number of elements. Each sum of elements is fitted
-completely before the criterion is evaluated. Of two sums with equal criteria, the sum that was
-tried first is selected. The search ends if rounding errors of the sampled frequencies explain the
-deviation from the samples.
+completely before the criterion is evaluated. If two sums of elements have equal Bayesian
+information criteria, the fit selects the sum that was tried first. The search ends if rounding
+errors of the sampled frequencies explain the deviation from the samples.
 """
 
 from __future__ import annotations
@@ -58,7 +60,9 @@ MAX_ELEMENTS = 40
 MIN_IMPROVEMENT = 0.1  # minimum relative reduction of the deviation per added element
 # the search ends after this number of successive elements with improvements < MIN_IMPROVEMENT
 PATIENCE = 2
-POOR_PATIENCE = 5  # replaces PATIENCE as long as the deviation exceeds POOR_DEVIATION
+# While the deviation of the fit exceeds POOR_DEVIATION, the search ends after this number of
+# successive elements with improvements < MIN_IMPROVEMENT.
+POOR_PATIENCE = 5
 POOR_DEVIATION = 0.2  # relative rms deviation above which a fit is poor
 START_Q_FACTORS = (5.0, 30.0, 200.0, 1500.0)  # start values of the Q factor of a resonance
 # start values of a lead impedance, as fractions of the largest possible lead impedance
@@ -141,12 +145,14 @@ def fit_branches(samples: AdmittanceSamples) -> Elements:
     best, least, useless = elements, np.inf, 0
     patience = POOR_PATIENCE
     while len(elements) < MAX_ELEMENTS and useless < patience:
-        ends = list(map(samples.refine_elements, _propose_start_sums(samples, elements)))
+        ends = list(map(samples.refine_elements, _propose_start_circuits(samples, elements)))
         ends = [end for end in ends if _exceeds_noise(samples, end)]
         if not ends:
             break
-        elements = samples.refine_elements(_select_best_sum(samples, ends), SELECTION_EVALUATIONS)
-        elements = _simplify_sum(samples, elements, _select_outside_band(samples, elements))
+        elements = samples.refine_elements(
+            _select_best_circuit(samples, ends), SELECTION_EVALUATIONS
+        )
+        elements = _simplify_circuit(samples, elements, _select_outside_band(samples, elements))
         value = samples.compute_information_criterion(elements)
         enough = _count_parameters(elements) <= _count_parameters(best)
         enough |= not best or samples.compute_rms_deviation(elements) < (
@@ -161,7 +167,7 @@ def fit_branches(samples: AdmittanceSamples) -> Elements:
         )
         if samples.is_within_tolerance(best):
             break
-    best = samples.refine_elements(_simplify_sum(samples, best, best), FINAL_EVALUATIONS)
+    best = samples.refine_elements(_simplify_circuit(samples, best, best), FINAL_EVALUATIONS)
     slowest = np.log(MAX_TIME_RATIO / (2 * np.pi * samples.f[0]))
     return best if samples.conductance else tuple(_limit_element(e, slowest) for e in best)
 
@@ -171,11 +177,11 @@ def _count_parameters(elements: Elements) -> int:
     return sum(len(e.logs) for e in elements)
 
 
-def _select_best_sum(samples: AdmittanceSamples, ends: Sequence[Elements]) -> Elements:
-    """Return the first sum of elements whose information criterion is almost least.
+def _select_best_circuit(samples: AdmittanceSamples, ends: Sequence[Elements]) -> Elements:
+    """Select the circuit with the smallest information criterion.
 
     Criteria that differ by less than ``CRITERION_TOLERANCE`` count as equal, so that rounding
-    errors do not change the selection.
+    errors do not change the selection. The first of several equal circuits is selected.
     """
     values = list(map(samples.compute_information_criterion, ends))
     good = (
@@ -190,8 +196,8 @@ def _limit_element(element: FitElement, slowest: float) -> FitElement:
     """Limit the time constant and the Q factor of an element.
 
     ``slowest`` is the logarithm of the largest time constant [s], and :data:`MAX_Q` is the largest
-    Q factor. The samples do not determine larger values, and the limits do not change Y in the
-    band.
+    Q factor. The samples do not determine a time constant or a Q factor above its limit. Limiting
+    an element does not change its admittance Y in the band.
     """
     amplitude, *others = element.logs
     excess = _compute_log_time(element) - slowest if others else 0.0
@@ -202,14 +208,16 @@ def _limit_element(element: FitElement, slowest: float) -> FitElement:
         return FitElement(element.form, (amplitude, w, max(d, w - float(np.log(MAX_Q)))))
     if excess <= 0:
         return element
-    # the inductance or the resistance remains the same
+    # A shorter time constant leaves the inductance of an R-L branch, or the resistance of an R-C
+    # branch, unchanged.
     return FitElement(element.form, (amplitude - excess, others[0] - excess))
 
 
 def _select_outside_band(samples: AdmittanceSamples, elements: Elements) -> Elements:
     """Select the elements whose frequencies are outside of the band.
 
-    Within the band, simpler elements have almost the same admittance as the selected elements.
+    The selected elements can be replaced by simpler elements, which have almost the same admittance
+    within the band.
     """
     low = np.log(2 * np.pi * samples.f[0] / MAX_FREQUENCY_RATIO)
     high = np.log(2 * np.pi * samples.f[-1] * MAX_FREQUENCY_RATIO)
@@ -235,21 +243,23 @@ def _exceeds_noise(samples: AdmittanceSamples, elements: Elements) -> bool:
     )
 
 
-def _simplify_sum(samples: AdmittanceSamples, elements: Elements, doubtful: Elements) -> Elements:
+def _simplify_circuit(
+    samples: AdmittanceSamples, elements: Elements, doubtful: Elements
+) -> Elements:
     """Remove or simplify doubtful elements if this reduces the information criterion."""
     value = samples.compute_information_criterion(elements)
     for element in doubtful:
-        for fewer in _propose_simpler_sums(samples, elements, element):
+        for fewer in _propose_simpler_circuits(samples, elements, element):
             end = samples.refine_elements(fewer)
             if end and samples.compute_information_criterion(end) < value:
-                return _simplify_sum(samples, end, end)
+                return _simplify_circuit(samples, end, end)
     return elements
 
 
-def _propose_simpler_sums(
+def _propose_simpler_circuits(
     samples: AdmittanceSamples, elements: Elements, element: FitElement
 ) -> Iterable[Elements]:
-    """Yield sums in which an element is omitted or replaced by a simpler element.
+    """Yield circuits without an element, or with a simpler element in its place.
 
     In the band, the simpler element has almost the same admittance as the replaced element.
     """
@@ -268,10 +278,10 @@ def _propose_simpler_sums(
 
 
 def _replace_by_leads(element: FitElement, others: Elements) -> Iterable[Elements]:
-    """Yield sums in which a lead replaces a branch with a frequency above the band.
+    """Yield circuits in which a series lead, R or L, replaces one parallel element.
 
-    At low frequencies, leads in series with C0 have the same effect as branches in parallel with
-    C0::
+    A lead can replace a branch whose resonance or corner frequency is above the band. At low
+    frequencies, leads in series with C0 have the same effect as branches in parallel with C0::
 
     s C0 / (1 + s R C0 + s^2 L C0) = s C0 - s^2 R C0^2 - s^3 L C0^2 + ...
     s c w^2 / (s^2 + d s + w^2) = s c - s^2 c d / w^2 - s^3 c / w^2 + ...
@@ -304,8 +314,8 @@ def _convert_form(element: FitElement, form: str) -> FitElement:
     return FitElement(form, (0.0, -element.logs[2] if form == "inductive" else log_t))
 
 
-def _propose_start_sums(samples: AdmittanceSamples, elements: Elements) -> list[Elements]:
-    """Return sums with additional elements, from which the next fits start."""
+def _propose_start_circuits(samples: AdmittanceSamples, elements: Elements) -> list[Elements]:
+    """Propose start circuits of the next fits: the circuit with added elements."""
     result = [_fit_peak(samples, elements)]
     for options in _propose_elements(samples, elements):
         tried = [samples.fit_amplitudes((*elements, option)) for option in options]
@@ -338,7 +348,7 @@ def _fit_peak(samples: AdmittanceSamples, elements: Elements) -> Elements:
 
 
 def _propose_elements(samples: AdmittanceSamples, elements: Elements) -> Iterable[list[FitElement]]:
-    """Yield lists of possible additional elements that differ only in start values."""
+    """Propose elements to add; each list contains one form with various start values."""
     present = {element.form for element in elements}
     forms = [
         form
@@ -363,9 +373,10 @@ def _propose_elements(samples: AdmittanceSamples, elements: Elements) -> Iterabl
 
 
 def _propose_leads(samples: AdmittanceSamples, form: str) -> list[FitElement]:
-    """Return leads whose impedances are fractions of the largest possible impedance.
+    """Propose start values for the series resistance or inductance of the leads.
 
-    The impedance of a lead cannot exceed the measured impedance of any sample.
+    The start values are fractions of the largest possible lead impedance. The impedance of a lead
+    cannot exceed the measured impedance of any sample.
     """
     per_unit = FitElement(form, (0.0,)).response(samples.s)[0]
     largest = float(np.min(np.abs(1 / (per_unit * samples.Y))))

@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 
 from kc2spice.core.errors import SimulationError
-from kc2spice.rom.entry_scales import EntryScales
 from kc2spice.rom.error_estimate import estimate_errors_above_band
 from kc2spice.rom.linear_model import Certificate, LinearModel, make_linear_model
 from kc2spice.rom.reduced_basis import MIN_ERROR_ESTIMATE, ReducedBasis
 from kc2spice.rom.response import FLANK_DISTANCE, MIN_DAMPING_RATIO
 from kc2spice.rom.stability import DEFINITE_EVIDENCE, StabilityProof
+from kc2spice.rom.transfer_function_error_scales import EntryScales
 
 # Smallest error estimate at a resonance, as a multiple of eps / (damping ratio); found by trials.
 # A relative rounding error eps of the stiffness changes the response by eps / (2 damping ratio).
@@ -40,10 +40,11 @@ def certify(basis: ReducedBasis, order: int) -> LinearModel:
     error = basis.estimate_model_error(order) + task.intermediate.floor
     if not np.isfinite(error):
         raise SimulationError(
-            "the reduced model has a state without stiffness, damping or inertia",
+            "the reduced model has no finite response: one state has no stiffness, damping or "
+            "inertia",
             where=task.fom.name,
             got="matrix entries that are smaller than their rounding errors",
-            hint="replace the order by a tolerance of 1e-4",
+            hint="reduce by a tolerance, such as 1e-4, in place of an order",
         )
     sharpest = max(
         estimator.exact.select_visible_resonances(task.band)[1].min(initial=1.0), MIN_DAMPING_RATIO

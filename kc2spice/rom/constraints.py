@@ -26,7 +26,6 @@ import numpy as np
 import scipy
 
 from kc2spice.core.errors import SimulationError
-from kc2spice.rom.entry_scales import balance_matrix
 from kc2spice.rom.pencil import (
     Matrix,
     Pencil,
@@ -38,6 +37,7 @@ from kc2spice.rom.pencil import (
     mask_unknowns_with_entries,
     to_dense,
 )
+from kc2spice.rom.transfer_function_error_scales import balance_matrix
 
 # a constraint counts as linearly dependent if (pivot / largest pivot) is below this ratio
 DEPENDENT_CONSTRAINT = 1e-12
@@ -67,8 +67,9 @@ def eliminate_constraints(pencil: Pencil) -> Pencil:
     if pencil.B[row].any() or G.shape[0] * G.shape[1] > MAX_CONSTRAINT_ENTRIES:
         return pencil
     Z, rank = compute_null_basis(G)
+    # Multipliers whose forces act on permitted motions cannot be eliminated.
     if Z.shape[1] == 0 or _exceeds_rounding(Z.T @ L, L):
-        return pencil  # multiplier forces act on permitted motions
+        return pencil
     observed = pencil.C[:, row].any()
     if observed and rank < len(row):
         return pencil

@@ -13,7 +13,6 @@ from functools import cached_property
 import numpy as np
 
 from kc2spice.core.errors import SimulationError
-from kc2spice.rom.entry_scales import PEAK_SHARE, EntryScales, get_min_relative_divisor
 from kc2spice.rom.linear_model import LinearModel, Norm, Port
 from kc2spice.rom.response import (
     FLANK_DISTANCE,
@@ -25,23 +24,29 @@ from kc2spice.rom.response import (
     make_frequency_grid,
     sample_resonances,
 )
+from kc2spice.rom.transfer_function_error_scales import (
+    PEAK_SHARE,
+    EntryScales,
+    get_min_relative_divisor,
+)
 
 # Frequencies above the band at which errors are computed, as multiples of the upper band limit.
-# Contacts excite a body above the band, up to the frequencies in this list.
+# Errors above the band are computed because contacts also excite a body above the band.
 MULTIPLES_ABOVE_BAND = np.array([2.0, 4.0])
 # Settings of the search for the largest error, found by trials.
 # tests/physics/test_certificates.py compares the result of the search with errors on fine grids.
-REFINED_NOTCHES = 60  # number of deepest minima that each round refines
+# Each round adds frequencies near this number of the deepest minima of the response.
+REFINED_NOTCHES = 60
 ZOOM_FREQUENCIES = 9  # number of frequencies in a refined interval
-NOTCH_ROUNDS = 20  # number of rounds that refine notches
+NOTCH_ROUNDS = 20  # largest number of rounds that add frequencies near notches
 EQUAL_FREQUENCY = 1e-12  # relative difference below which frequencies count as equal
-# A ratio above this limit indicates a deeper minimum near a sampled minimum.
-# The ratio is (neighbouring sample / sampled minimum) or (sampled / interpolated minimum).
+# A neighbouring sample that exceeds a sampled minimum by this factor indicates a deeper minimum.
+# An interpolated value below (sampled minimum / MIN_STEEPNESS) also indicates a deeper minimum.
 MIN_STEEPNESS = 1.5
-REFINED_PEAKS = 40  # number of largest errors that each round refines
-PEAK_ROUNDS = 3  # number of rounds that refine the largest errors
-# Number of equally spaced frequencies at which a model is tested first.
-# Models are also tested first at the frequencies at which earlier models were inaccurate.
+REFINED_PEAKS = 40  # each round adds frequencies near this number of the largest errors
+PEAK_ROUNDS = 3  # largest number of rounds that add frequencies near the largest errors
+# Each model is first tested at the frequencies at which earlier models were inaccurate.
+# Each model is tested at about FIRST_FREQUENCIES samples of the band before all other samples.
 FIRST_FREQUENCIES = 6
 
 
@@ -106,7 +111,7 @@ def _find_minima_near_zeros(H: np.ndarray) -> np.ndarray:
 
 
 def _refine_intervals(known: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Return new frequencies that subdivide given intervals of known frequencies.
+    """Return frequencies that subdivide given intervals between known frequencies.
 
     Each interval from ``known[low]`` to ``known[high]`` contains ``ZOOM_FREQUENCIES`` frequencies.
     The result contains no repeated frequency and no frequency of ``known``, because equal
@@ -139,7 +144,7 @@ class ErrorEstimator:
 
     @cached_property
     def frequency(self) -> np.ndarray:
-        """Sample frequencies [Hz] of the band at which large errors are likely."""
+        """Sample frequencies [Hz] where large errors are likely, within the band."""
         return choose_adaptive_frequencies(self.exact, self.band, self.static, self.norm)
 
     @cached_property
@@ -150,15 +155,16 @@ class ErrorEstimator:
 
     @property
     def min_relative_divisor(self) -> float:
-        """Smallest error divisor in this norm, as a fraction of an entry's peak."""
+        """Smallest divisor of absolute errors, as a fraction of the response's peak."""
         return get_min_relative_divisor(self.norm)
 
     @cached_property
     def _significant_entry_mask(self) -> np.ndarray:
         """Mask of the response entries (outputs, inputs) that exceed rounding errors.
 
-        The mask includes entries that are zero by symmetry, because errors of zero entries are
-        relative to row and column.
+        The mask also includes entries that are zero by symmetry. The error of a zero entry is
+        relative to the largest entries in its row and column, so rounding errors of the entry are
+        negligible.
         """
         return np.asarray(
             ~self.exact.mask_cancelled_entries(2j * np.pi * self.frequency)
@@ -169,8 +175,9 @@ class ErrorEstimator:
     def responses_to_check_first(self) -> dict[float, np.ndarray]:
         """Exact responses at the frequencies to check first, keyed by frequency.
 
-        The first keys are the frequencies of a coarse grid over the band. The last keys are the
-        frequencies with the largest errors of earlier models.
+        The first keys of the dictionary are the frequencies of a coarse grid over the band. The
+        last keys of the dictionary are checked first: at these frequencies, earlier models had the
+        largest errors.
         """
         sample = slice(None, None, max(1, len(self.frequency) // FIRST_FREQUENCIES))
         return dict(
@@ -203,7 +210,9 @@ class ErrorEstimator:
         :func:`compute_relative_error`.
         """
         for last, H in reversed(self.responses_to_check_first.items()):
-            try:  # direct solutions, because a transformation is faster only for many points
+            try:
+                # A direct solution is used, because it is faster at one frequency than a
+                # transformation to decoupled coordinates.
                 ours = reduced.pencil.transfer(np.array([2j * np.pi * last]))[0]
                 worst = float(self.compute_largest_errors(ours - H, H))
             except SimulationError:
@@ -239,7 +248,7 @@ class ErrorEstimator:
 def estimate_errors_above_band(
     ports: Sequence[Port], exact: Response, reduced: Response, band: tuple[float, float]
 ) -> tuple[tuple[float, float], ...]:
-    """Compute errors of a reduced model above the band, as pairs with frequencies.
+    """Estimate errors of a reduced model at frequencies above the band.
 
     Return pairs of a frequency [Hz] and an error. The frequencies are ``MULTIPLES_ABOVE_BAND``
     times the upper band limit. Each error is the largest relative error of the driving-point
@@ -261,8 +270,9 @@ def compute_relative_error(response: np.ndarray, reference: np.ndarray) -> float
     """Return the largest relative error of a response, over entries and frequencies.
 
     The error of an entry is divided by the magnitude of the entry, but at least by ``PEAK_SHARE``
-    times the entry's peak. The class :class:`kc2spice.rom.entry_scales.EntryScales` describes
-    entries that are zero.
+    times the entry's peak. The class
+    :class:`kc2spice.rom.transfer_function_error_scales.EntryScales` describes entries that are
+    zero.
 
     Both arrays have the shape (frequencies, outputs, inputs). Arrays may also have the shape
     (frequencies,) or (frequencies, entries) for independent entries.
@@ -278,12 +288,13 @@ def compute_relative_error(response: np.ndarray, reference: np.ndarray) -> float
 def compute_relative_errors(
     difference: np.ndarray, reference: np.ndarray, entries: EntryScales | None = None
 ) -> np.ndarray:
-    """Convert a ``difference`` from a reference response to relative errors.
+    """Compute relative errors of a response from its difference to a reference.
 
-    The ``difference`` and the ``reference`` have the shape (..., outputs, inputs).
+    ``difference`` is a response minus the ``reference`` response. Both arrays have the shape (...,
+    outputs, inputs).
 
     By default, the scales ``entries`` are computed from ``reference``. See
-    :meth:`kc2spice.rom.entry_scales.EntryScales.compute_relative_errors`.
+    :meth:`kc2spice.rom.transfer_function_error_scales.EntryScales.compute_relative_errors`.
     """
     entries = entries or EntryScales.from_response(reference)
     return entries.compute_relative_errors(difference, reference)

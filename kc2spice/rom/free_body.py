@@ -21,25 +21,30 @@ from kc2spice.rom.pencil import Pencil, SchurComplement, compute_absolute_entrie
 from kc2spice.rom.rigid_body import estimate_energy_rounding, split_driven_modes
 from kc2spice.rom.rounding import ZERO_ENTRY_FACTOR
 
-# Shift, relative to the square of the upper band limit [rad/s].
+# Usual shift of the eigenvalues, relative to the square of the upper band limit [rad/s].
 # With a small shift, the Krylov subspace is accurate, and inverse iteration needs few steps.
 SHIFT_RATIO = 1e-6
-# smallest shift, relative to eps times the largest ratio K_ii / M_ii
+# smallest shift of the eigenvalues, relative to eps times the largest ratio K_ii / M_ii
 MIN_SHIFT_ROUNDING = 100.0
-# largest shift, relative to the square of the upper band limit [rad/s]
+# largest shift of the eigenvalues, relative to the square of the upper band limit [rad/s]
 MAX_SHIFT_RATIO = 1e-2
 MAX_STEPS = 12  # largest number of steps of inverse iteration
 # Inverse iteration ends if the error of each mode is below this limit.
 # Each step multiplies the error by shift / (shift + w^2), with the lowest elastic frequency w.
 MODE_TOLERANCE = 1e-14
-# Largest elastic energy of a rigid-body mode, relative to the energy of random rounding errors.
-# The relative elastic energy is up to 0.02 for unsupported bodies.
-# For 1 400 masses in a chain whose support has 3e-14 of the chain's stiffness, the energy is 1.5.
+# A mode counts as rigid if its relative elastic energy is at most MAX_RIGID_ENERGY.
+# The relative elastic energy of a mode is its elastic energy, divided by the error of this energy
+# that random rounding of the stiffness matrix causes.
+# The elastic energy of rigid-body modes of unsupported bodies is up to 0.02 times the error of this
+# energy due to random rounding.
+# A tested chain of 1 400 masses had a support with only 3e-14 of the chain's own stiffness.
+# For the tested chain of 1 400 masses, the relative elastic energy was 1.5, so no mode counts as
+# rigid.
 # Bodies above the limit are reduced by other methods, which retain soft supports.
 MAX_RIGID_ENERGY = 1.0
-# First and largest number of vectors of inverse iteration; one body has six rigid-body modes.
+# Number of vectors in the first inverse iteration: more than the six rigid-body modes of one body.
 BLOCK_VECTORS = 8
-MAX_BLOCK_VECTORS = 64
+MAX_BLOCK_VECTORS = 64  # largest number of vectors in an inverse iteration
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +52,7 @@ class FreeBody:
     """Model of an unsupported body: elastic part and separate rigid-body modes.
 
     ``modes`` X (n, r) are rigid-body modes with ``X'MX = 1``. ``momenta`` is M X. ``factor`` is the
-    factor of the shifted stiffness ``K + shift M``.
+    factorisation of the shifted stiffness ``K + shift M``.
     """
 
     pencil: Pencil
@@ -87,15 +92,16 @@ class FreeBody:
 
     @cached_property
     def _absolute_forces(self) -> tuple[np.ndarray, ...]:
-        """Absolute forces ``|P| |V|`` (n, r) of the rigid-body modes V, for each matrix P."""
+        """Absolute forces ``|P| |V|`` of rigid-body modes V, for each system matrix P."""
         return tuple(
             compute_absolute_entries(P) @ np.abs(self.vectors) for P in self.pencil.coefficients
         )
 
     def _bound_rounding(self, forces: np.ndarray, V: np.ndarray) -> np.ndarray:
-        """Return bounds (k, k) of the rounding errors of a projected matrix.
+        """Return bounds of the rounding errors of a projected matrix.
 
-        Only the rows and columns of rigid-body modes have bounds above zero.
+        The bounds have the shape (k, k). Only the rows and columns of rigid-body modes have bounds
+        above zero.
         """
         bounds = np.zeros((V.shape[1],) * 2)
         side, count = (
@@ -106,8 +112,8 @@ class FreeBody:
         return bounds
 
 
-def find_free_body(pencil: Pencil, omega: float) -> FreeBody | None:
-    """Split an unsupported definite model into rigid-body modes and an elastic part.
+def split_free_body(pencil: Pencil, omega: float) -> FreeBody | None:
+    """Split the model of a free body into its rigid-body modes and an elastic part.
 
     ``omega`` [rad/s] is the upper band limit. Return None if the model has no definite form, no
     rigid-body modes, or supports whose stiffness is as small as rounding errors.
@@ -144,9 +150,10 @@ def _choose_shift(pencil: Pencil, omega: float) -> float:
 def _find_rigid_body_modes(pencil: Pencil, factor: Factor, shift: float) -> np.ndarray:
     """Find the modes (n, r) without elastic energy by inverse iteration.
 
-    The modes are orthonormal in the mass matrix. ``factor`` is the factor of the shifted elastic
-    stiffness. A mode that changes electric potentials has energy, even without elastic forces. If
-    the squared frequency of the lowest elastic mode is below the shift, no mode is returned.
+    The modes X are orthonormal with respect to the mass matrix M, so ``X'MX`` is the unit matrix.
+    ``factor`` is the factorisation of the shifted elastic stiffness. A mode that changes electric
+    potentials has energy, even without elastic forces. If the squared frequency of the lowest
+    elastic mode is below the shift, no mode is returned.
     """
     K, _, M = pencil.coefficients
     rng, count = np.random.default_rng(0), BLOCK_VECTORS
@@ -167,7 +174,10 @@ def _find_rigid_body_modes(pencil: Pencil, factor: Factor, shift: float) -> np.n
 
 
 def _bound_elastic_energy(pencil: Pencil, V: np.ndarray) -> np.ndarray:
-    """Return bounds (k, k) of the error in ``V'K V`` that rounding errors of K cause."""
+    """Return bounds of errors in the elastic energy ``V'K V`` from rounding of K.
+
+    The bounds have the shape (k, k).
+    """
     K = pencil.coefficients[0]
     bound = (
         ZERO_ENTRY_FACTOR

@@ -29,7 +29,7 @@ import numpy as np
 
 from kc2spice.core.domains import THERMAL
 from kc2spice.core.equality import EqualByContent
-from kc2spice.core.errors import UsageError
+from kc2spice.core.errors import UsageError, did_you_mean
 from kc2spice.rom.linear_model import LinearModel, Port
 
 NetworkForm = Literal["foster", "cauer"]
@@ -37,8 +37,9 @@ NETWORK_FORMS: tuple[NetworkForm, ...] = ("foster", "cauer")
 # relative difference below which time constants count as equal: about a hundred times eps
 EQUAL_TIME = 2e-14
 # Number of decimal digits per time constant in the continued fraction.
-# Each step loses at most 14 digits of the numerator and 14 digits of the denominator.
-# A step loses as many digits as two time constants have in common.
+# In each step of the continued fraction, cancellation removes at most 14 digits of the numerator
+# and 14 digits of the denominator, so that 30 digits per time constant are sufficient.
+# If two time constants agree in k digits, a step of the continued fraction loses k digits.
 DIGITS_PER_MODE = 30
 
 
@@ -168,8 +169,10 @@ def parse_network_form(form: str | None, where: str) -> NetworkForm | None:
     raise UsageError(
         "this form of a heat network does not exist",
         where=where,
-        got=form,
+        got=repr(form),
         expected=" or ".join(NETWORK_FORMS),
+        hint=did_you_mean(form, NETWORK_FORMS)
+        or f"leave out {where}, so that the form is {NETWORK_FORMS[0]}",
     )
 
 

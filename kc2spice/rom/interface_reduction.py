@@ -8,11 +8,11 @@ prescribed temperatures are ``Psi``:
     E_ee x' + K_ee x = B_e q - (E_ei + E_ee Psi) T_i'.
 
 A congruence reduces the model of ``T_e``, whose inputs are q, ``K_ei T_i`` and ``E_ei T_i'``. The
-reduced model of ``T_e`` gives accurate heat flows (:mod:`kc2spice.rom.prescribed_flows`). The basis
-of the reduced ``T_e`` and ``Psi`` together reduce the whole model by a congruence. E and K remain
-symmetric and positive semi-definite, so the model is passive. The static responses to prescribed
-temperatures are exact. R. R. Craig and M. C. C. Bampton, AIAA Journal 6 (1968) 1313, describe the
-method for structures.
+reduced model of the temperatures ``T_e``, which are not prescribed, also gives accurate heat flows
+(:mod:`kc2spice.rom.prescribed_flows`). The basis of the reduced ``T_e`` and ``Psi`` together reduce
+the whole model by a congruence. E and K remain symmetric and positive semi-definite, so the model
+is passive. The static responses to prescribed temperatures are exact. R. R. Craig and M. C. C.
+Bampton, AIAA Journal 6 (1968) 1313, describe the method for structures.
 """
 
 from __future__ import annotations
@@ -26,7 +26,9 @@ from scipy import sparse
 
 from kc2spice.core.errors import SimulationError, UsageError, wrong
 from kc2spice.rom.error_estimate import make_inaccuracy_error
-from kc2spice.rom.interface_split import (
+from kc2spice.rom.linear_model import LinearModel
+from kc2spice.rom.prescribed_flows import FlowReference, make_driven_model
+from kc2spice.rom.prescribed_temperature_split import (
     DENSE,
     SplitHeatModel,
     get_symmetric_part,
@@ -34,17 +36,17 @@ from kc2spice.rom.interface_split import (
     split_prescribed_ports,
     transform_to_modal_coordinates,
 )
-from kc2spice.rom.linear_model import LinearModel
-from kc2spice.rom.prescribed_flows import FlowReference, make_driven_model
 from kc2spice.rom.reduce import reduce_model
 
-# largest number of reductions with smaller tolerances until the heat flows meet the tolerance
+# Largest number of attempts to reduce a model. If the heat flows are not accurate enough, the next
+# attempt has a smaller tolerance of the temperatures.
 ATTEMPTS = 6
-SMALLEST_TOLERANCE = 1e-9  # smallest tolerance of temperatures, near rounding errors
+# Smallest tolerance of the temperatures; smaller tolerances would be near the rounding errors.
+SMALLEST_TOLERANCE = 1e-9
 REFERENCE_TOLERANCE = 1e-4  # tolerance of the reference model if the order is prescribed
 
 
-def reduce_with_interfaces(
+def reduce_with_prescribed_temperatures(
     model: LinearModel,
     prescribed: Sequence[str],
     parts: SplitHeatModel | None = None,
@@ -159,9 +161,9 @@ def make_no_congruence_error(model: LinearModel) -> UsageError:
 def _reduce_definite_model(model: LinearModel, aims: Mapping[str, Any]) -> LinearModel:
     """Reduce a heat model whose conductance matrix K is positive definite.
 
-    The rates of a small model may differ by 12 orders of magnitude. With rates of very different
-    sizes, a slow mode could be mistaken for a body without a thermal path. Therefore, small models
-    are transformed to modal coordinates, in which K is the unit matrix.
+    The rates of a small model may differ by 12 orders of magnitude. If rates differ by many orders
+    of magnitude, the slowest rate could count as zero, as in a body without a thermal path.
+    Therefore, small models are transformed to modal coordinates, in which K is the unit matrix.
     """
     if model.order > DENSE:
         return reduce_model(model, **aims)

@@ -5,7 +5,7 @@ The method depends on the full model:
 * Small models: the whole model in dense form.
 * Definite models and free bodies, undamped or with proportional damping:
   :mod:`kc2spice.rom.reductors.definite_krylov`.
-* Ill-conditioned dense first-order models: :mod:`kc2spice.rom.reductors.exact_samples`.
+* Ill-conditioned dense first-order models: :mod:`kc2spice.rom.reductors.ill_conditioned_models`.
 * All other models: :mod:`kc2spice.rom.reductors.rational_krylov`.
 """
 
@@ -20,11 +20,11 @@ from kc2spice.core.errors import SimulationError
 from kc2spice.linalg.factor import require_memory_for_factors
 from kc2spice.rom.definiteness import allows_cholesky, is_definite
 from kc2spice.rom.error_estimate import compute_relative_errors, make_inaccuracy_error
-from kc2spice.rom.free_body import find_free_body
+from kc2spice.rom.free_body import split_free_body
 from kc2spice.rom.intermediate_model import IntermediateModel
 from kc2spice.rom.pencil import Pencil, SchurComplement, is_symmetric
 from kc2spice.rom.reductors.definite_krylov import reduce_definite_model
-from kc2spice.rom.reductors.exact_samples import reduce_by_samples
+from kc2spice.rom.reductors.ill_conditioned_models import reduce_by_samples
 from kc2spice.rom.reductors.rational_krylov import (
     MANY_POINTS,
     MAX_POINTS,
@@ -54,10 +54,16 @@ from kc2spice.rom.stability import is_dissipative
 
 # Modes of models with more unknowns are not computed with 19 digits, to limit the time.
 MAX_EXTENDED_UNKNOWNS = 500
-# largest sizes, found by trials, of full models that are used as intermediate models
-MAX_COMPLETE_DECOUPLED = 1300  # unknowns of decoupled models
-MAX_COMPLETE_STATES = 600  # first-order states of other models
-MAX_DENSE_STATES = 2000  # states of models with too many resonances for a Krylov method
+# Small full models are used without reduction; the limits of their size were found by trials.
+# largest number of unknowns of a full model that is used without reduction, if a congruence
+# decouples the model
+MAX_COMPLETE_DECOUPLED = 1300
+# Largest number of first-order states of a full model that is used without reduction.
+# The limit MAX_COMPLETE_STATES applies to models that no congruence decouples.
+MAX_COMPLETE_STATES = 600
+# Largest number of first-order states of a full model that is used without reduction.
+# The limit MAX_DENSE_STATES applies to models with too many resonances for a Krylov method.
+MAX_DENSE_STATES = 2000
 # largest number of unknowns of a model whose equations are solved at each frequency separately
 MAX_DIRECT_UNKNOWNS = 150
 
@@ -88,8 +94,9 @@ def build_intermediate_model(
         except SimulationError as error:
             inaccurate = error
         sound = complete is not None and complete.response.is_decoupled
-        # With a proof that the stored energy is positive, a congruence transformation converges.
-        # Without a proof, a congruence converges only if the modes are well-conditioned.
+        # If the stored energy is proven positive, the error of a congruence decreases with more
+        # vectors. Without a proof of positive energy, the error of a congruence decreases only if
+        # the modes are well-conditioned.
         if pencil.degree == 1 and not sound and not is_dissipative(full):
             try:
                 return reduce_by_samples(full, band, target, limit)
@@ -124,9 +131,9 @@ def _build_definite_model(
 ) -> IntermediateModel | None:
     """Build the intermediate model of a definite pencil or of a free body.
 
-    Return None for other models. For a model with electric potentials, the search for rigid-body
-    modes takes less time than the factorisation of the stiffness matrix K. Therefore, if no factor
-    of K is known, the search for rigid-body modes comes first.
+    Return None for other models. For a model with electric potentials, the function searches for
+    rigid-body modes before it factorises the stiffness matrix K, because the search is faster than
+    the factorisation. If a factor of K already exists, the definiteness of K is tested first.
     """
     omega, body = 2 * np.pi * band[1], None
     if (
@@ -134,9 +141,9 @@ def _build_definite_model(
         and isinstance(pencil.coefficients[0], SchurComplement)
         and not pencil.is_factorised
     ):
-        body = find_free_body(pencil, omega)
+        body = split_free_body(pencil, omega)
     if body is None and not is_definite(pencil, undamped_too=True):
-        body = find_free_body(pencil, omega) if deflated else None
+        body = split_free_body(pencil, omega) if deflated else None
         if body is None:
             return None
     return reduce_definite_model(pencil, band, target, limit, body)
@@ -164,7 +171,8 @@ def _use_full_order(
 
     Raises
     ------
-    SimulationError : two direct solutions of the model differ by more than ``limit``.
+    SimulationError : the response is inaccurate. Solutions with two elimination orders, or direct
+        and modal solutions, differ by more than ``limit``.
     """
     original = full
     full, V, static, projected = split_rigid_body(original, 2 * np.pi * band[1])
@@ -197,7 +205,7 @@ def _use_full_order(
         rounded = TRIAL_FACTOR * float(size.max())
         if T is not None:
             note = describe_uncertainty(at, size, 2 * limit)
-        # matrix products and solutions of linear equations have rounding errors
+        # The response has rounding errors if linear equations are solved or matrices are projected.
         if T is None or full.free or full.size < original.size:
             floor = rounded
     if error > max(limit, rounded):
@@ -226,9 +234,8 @@ def _use_full_order(
 def _compute_undamped_modes(full: Pencil) -> np.ndarray | None:
     """Compute the modes (n, n) of a model of moderate size.
 
-    K and M must be symmetric and positive definite.
-
-    Return None for other models.
+    Return None if K or M is not symmetric and positive definite. Also return None for a first-order
+    model, and for a model of more than :data:`MAX_EXTENDED_UNKNOWNS` unknowns.
     """
     if full.degree == 1 or full.size > MAX_EXTENDED_UNKNOWNS:
         return None

@@ -24,14 +24,14 @@ import numpy as np
 from scipy import io, sparse
 
 from kc2spice.core.errors import UsageError
-from kc2spice.core.mesh_error import select_mesh_errors
+from kc2spice.core.mesh_error_descriptions import select_mesh_errors
 from kc2spice.core.untrusted_files import decode_text, read_archive, read_bounded
 from kc2spice.rom.linear_model import Certificate, LinearModel, Port
 from kc2spice.rom.pencil import Matrix
 
 MARKET_BANNER = b"%%matrixmarket"
 _MARKET_LAYOUTS = ("coordinate", "array")
-# count of decimal numbers for one matrix entry
+# number of decimal numbers for each entry in a Matrix Market file, keyed by the type of the entries
 _MARKET_FIELDS = {"real": 1, "double": 1, "integer": 1, "complex": 2}
 _SYMMETRIES = ("general", "symmetric", "skew-symmetric")
 # translation of Fortran's exponents D and d to E, and of commas to blanks
@@ -336,7 +336,7 @@ def require_single_line(text: str, longest: int) -> str:
 
 
 def parse_ports(records: object) -> tuple[Port, ...]:
-    """Make ports from JSON records, and check the names and units for netlists.
+    """Make ports from JSON records; reject names and units invalid in netlists.
 
     Raises
     ------
@@ -368,7 +368,9 @@ def parse_certificate(record: object) -> Certificate:
     if not 0 <= low <= high < np.inf:
         raise ValueError(f"band {low} … {high} Hz")
     if not np.isfinite([certificate.error_estimate, *chain(*certificate.above)]).all():
-        raise ValueError("the certificate contains a number that is not finite")
+        raise ValueError(
+            "the error estimates in the model file contain a number that is not finite"
+        )
     return certificate
 
 

@@ -84,7 +84,7 @@ class Port:
 
     @property
     def conservative(self) -> bool:
-        """Whether the port exchanges energy: one column of B and one row of C."""
+        """Whether the port is conservative: it exchanges energy, unlike a signal port."""
         return self.domain is not None
 
     @property
@@ -132,11 +132,11 @@ class Certificate:
     ``error_estimate`` is the largest relative error of any transfer function over ``band_hz``. In
     the ``norm`` *pointwise*, each error is divided by the entry's magnitude at the same frequency,
     but at least by a millionth of the entry's peak. In the norm *peak*, each error is divided by
-    the entry's largest magnitude in the band. ``method`` describes the estimator. A contact also
-    excites frequencies above the band. Therefore, ``above`` contains pairs of a frequency [Hz]
-    above the band and the error at this frequency. An error above the band is the largest relative
-    error of the compliance of a mechanical port, compared with a larger model. ``stable`` states
-    whether both the full and the reduced model are stable; without a proof, the value is None. If
+    the entry's largest magnitude in the band. ``method`` describes the estimator. Because contacts
+    also excite frequencies above the band, ``above`` contains pairs of a frequency [Hz] above the
+    band and the error at this frequency. An error above the band is the largest relative error of
+    the compliance of a mechanical port, compared with a larger model. ``stable`` states whether
+    both the full and the reduced model are stable; without a proof, the value is None. If
     ``passive`` is true, both models are proven passive.
     """
 
@@ -150,7 +150,7 @@ class Certificate:
 
     @property
     def proofs(self) -> str:
-        """Proven properties as one string, such as ``"stable, passivity not shown"``."""
+        """Text that states what is proven, such as ``"stable, passivity not shown"``."""
         stability = {True: "stable", False: "UNSTABLE", None: "stability not known"}[self.stable]
         return f"{stability}, {'passive' if self.passive else 'passivity not shown'}"
 
@@ -181,14 +181,15 @@ class LinearModel:
     :func:`make_piezoelectric_model`.
 
     ``ports`` lists conservative ports and signals in the order of the columns of B. The rows of C
-    have the same order. An input has no row of C, and an output has no column of B. By default, the
-    ports are signals ``u1``..., ``y1``.... In symmetric models without signal ports, ``C = B'``.
+    have the same order. A signal port that is an input has no row in C, and a signal port that is
+    an output has no column in B. By default, the ports are signals ``u1``..., ``y1``.... In
+    symmetric models without signal ports, ``C = B'``.
 
-    A complex K contains structural damping. The model stores the real part as ``K``. If all
-    materials have the same loss, the imaginary part is ``loss_factor`` times ``K``. Otherwise, the
-    imaginary part is a symmetric positive semi-definite matrix ``loss``. A model with structural
-    damping has a frequency response but no state-space form; :func:`kc2spice.reduce` converts the
-    model to a circuit.
+    A complex K contains structural damping. The model stores the real part of a complex stiffness
+    matrix as ``K``. If all materials have the same loss, the imaginary part is ``loss_factor``
+    times ``K``. Otherwise, the imaginary part is a symmetric positive semi-definite matrix
+    ``loss``. A model with structural damping has a frequency response but no state-space form;
+    :func:`kc2spice.reduce` converts the model to a circuit.
 
     ``facts`` are characteristic numbers of the body (``mass_kg``, ``unknowns``,
     ``capacitance_free_f``, …). ``band`` [Hz] is the frequency range that the author of the model
@@ -389,8 +390,11 @@ class LinearModel:
             raise UsageError(
                 "this model has no basis from which to reconstruct the unknowns of the full model",
                 where=self.name,
-                expected="a result of kc.reduce for a model without constraints",
-                hint="reduce the model by a congruence, such as method='response POD'",
+                expected=(
+                    "a reduced model that kc.reduce computed with one projection basis from a full "
+                    "model without constraints"
+                ),
+                hint="write kc.reduce(model, tolerance=1e-4, method='response POD')",
             )
         if not states.ndim or len(states) != self.order:
             raise UsageError(
@@ -525,15 +529,16 @@ def make_piezoelectric_model(
 
     becomes ``M u'' + E u' + K u = B f + b V``, ``y = [B' u; b' u + C0 V]`` with
     ``K = K_uu + K_up K_pp^-1 K_up'``, ``b = K_up K_pp^-1 k_pV - k_uV`` and ``C0 = c_VV - k_pV'
-    K_pp^-1 k_pV``. Without the elimination, the model is indefinite, and reduced models can be
-    unstable (Schütz, Maeter and Bechtold, Actuators 10 (2021) 279, section 2.3 and references 47 to
-    49).
+    K_pp^-1 k_pV``. Without the elimination of the free potentials ``p``, the model is indefinite,
+    and reduced models can be unstable (Schütz, Maeter and Bechtold, Actuators 10 (2021) 279,
+    section 2.3 and references 47 to 49).
 
     Parameters
     ----------
     B : (n, mechanical ports); the columns have the order of the ports that are not electrical.
-    k_uV, k_pV, c_VV : (n, e), (m, e) and (e, e); the columns have the order of the electrical
-        ports. For one electrode, the second dimension may be missing.
+    k_uV, k_pV, c_VV : matrices of the shapes (n, e), (m, e) and (e, e), with one column for each
+        electrical port, in the order of the ports. For one electrode, the second dimension may be
+        missing.
     ports : all ports in any order.
     others : arguments of :class:`LinearModel`; ``rayleigh`` applies to K after the elimination.
 
@@ -593,7 +598,8 @@ def negate(matrix: Matrix) -> Matrix:
 
 
 _INDEFINITE_LOSS_TEXT = "an imaginary part that is not symmetric and positive semi-definite"
-# The loss factor eta is stored if (imaginary part of K - eta K) / K is at most this ratio.
+# A complex K is stored as a real K with a loss factor eta if its imaginary part is eta times its
+# real part. The permitted deviation is this fraction of the largest entry of the real part.
 LOSS_FACTOR_TOLERANCE = 1e-9
 
 
@@ -683,8 +689,8 @@ def _reject_ambiguous_outputs(C: np.ndarray | None, B: np.ndarray, n: int, where
             where=where,
             got=f"a square C of {n} rows beside M and K",
             expected="a damping matrix with the name E, or one row of C for each output",
-            hint="pass the damping matrix as E; if C is the output matrix, pass rayleigh=(0, 0) "
-            "or a damping matrix as well",
+            hint="if C is the damping matrix, pass it as E; if C is the output matrix of an "
+            "undamped model, add rayleigh=(0, 0)",
         )
 
 
@@ -715,7 +721,7 @@ def _read_rayleigh(pair: Any, where: str) -> tuple[float, float] | None:
 
 
 def _require_frequencies(frequency: Any) -> np.ndarray:
-    """Convert frequencies [Hz] to an array of one dimension."""
+    """Require frequencies [Hz] of at most one dimension; return them as an array."""
     try:
         result = np.atleast_1d(np.asarray(frequency, dtype=float))
         if result.ndim > 1:
@@ -779,7 +785,7 @@ def _complete_ports(ports: tuple[Port, ...], m: int, p: int, where: str) -> tupl
             else f"ports for {m} columns of B and {p} rows of C; a conservative port has both",
             hint="rename one of two ports with the same name"
             if len(set(low)) < len(low)
-            else f"state {m} ports in place of {len(ports)}",
+            else f"state for example {m} ports of kind input and {p} ports of kind output",
         )
     return ports
 
@@ -805,6 +811,32 @@ def _describe_entries(data: np.ndarray) -> str:
     return "NaN or infinity" if data.dtype.kind in "fiub" else f"entries of type {data.dtype}"
 
 
+def _make_array(matrix: Any, letter: str, where: str) -> np.ndarray:
+    """Convert nested lists to an array; raise an error if the rows differ in length."""
+    try:
+        return np.asarray(matrix)
+    except ValueError:
+        raise UsageError(
+            f"the rows of matrix {letter} differ in length",
+            where=where,
+            got=repr(matrix)[:120],
+            expected="rows of equal length",
+            hint=f"write one number for each column in every row of {letter}",
+        ) from None
+
+
+def _suggest_two_dimensions(letter: str, dimensions: int) -> str:
+    """Return advice to write a matrix as an array with two dimensions."""
+    if letter == "E":
+        return "for Rayleigh damping, write rayleigh=(alpha, beta)"
+    if dimensions == 1 and letter in ("B", "C"):
+        shape = "(-1, 1)" if letter == "B" else "(1, -1)"
+        return f"write {letter} as a table of rows, such as np.reshape({letter}, {shape})"
+    if dimensions == 1 and letter != "D":
+        return f"for a diagonal matrix, write np.diag({letter})"
+    return f"write {letter} as a table of rows, such as [[1.0, 0.0], [0.0, 1.0]]"
+
+
 def _convert_matrix(matrix: Matrix, letter: str, where: str, *, sparse: bool = True) -> Matrix:
     """Convert the entries of a matrix to floats; return None if the matrix is None.
 
@@ -823,7 +855,7 @@ def _convert_matrix(matrix: Matrix, letter: str, where: str, *, sparse: bool = T
             if sparse_input and not sparse
             else matrix
             if sparse_input
-            else np.asarray(matrix)
+            else _make_array(matrix, letter, where)
         )
     full = isinstance(matrix, np.ndarray)
     data = matrix if full else matrix.data
@@ -842,9 +874,7 @@ def _convert_matrix(matrix: Matrix, letter: str, where: str, *, sparse: bool = T
             f"matrix {letter} has {matrix.ndim} dimensions",
             where=where,
             expected="2 dimensions",
-            hint="for Rayleigh damping, write rayleigh=(alpha, beta)"
-            if letter == "E"
-            else f"write {letter} as a table of rows, such as {letter}.reshape(-1, 1)",
+            hint=_suggest_two_dimensions(letter, matrix.ndim),
         )
     if full:
         return np.ascontiguousarray(matrix, dtype=float)

@@ -22,14 +22,15 @@ A constant loss tangent of the dielectric
     ``a_0 + sum_k a_k / (1 + s t_k)`` instead of ``eps(s)``. The sum represents a capacitor in
     parallel with series RC branches. All amplitudes ``a_k`` are at least zero, so the sum is
     passive. The amplitudes are fitted to the permittivity in the band by non-negative least
-    squares. The clamped capacitances D are multiplied by the sum.
+    squares. The clamped capacitances D are multiplied by Foster's sum ``a_0 + sum_k a_k / (1 + s
+    t_k)``.
 
     Data sheets give the loss tangent of the mechanically free part at 1 kHz. The capacitance of the
     free part is ``D + C_m``. The motional capacitance ``C_m = sum_j gain_j^2 / omega_j^2`` has no
     loss far below the resonances. The loss angle theta of the clamped part follows from
     ``tan delta`` of the free part:
 
-        D sin theta = tan delta (D cos theta + C_m),   theta = delta + arcsin(C_m / D sin delta).
+        D sin theta = tan delta (D cos theta + C_m),   theta = delta + arcsin((C_m / D) sin delta).
 
     The dielectric loss also changes the stiffness, because deformation causes electric fields. The
     model neglects the change of the stiffness due to dielectric loss. The neglected relative loss
@@ -251,14 +252,15 @@ MASSLESS_ERROR = 1e-3
 # Replaces MASSLESS_ERROR if (damping ratio of the lowest massless mode) < MAX_RINGING_RATIO.
 # Modes with little damping depend on the mesh, ring for hundreds of periods, and limit time steps.
 # With massless modes instead, the simulated launch of a chip needs a third of the time points.
-# The simulated launch of a chip with 0.01 % damping changes by 1.2e-3, towards a finer model.
-# The change by massless modes is a quarter of the change by the finer model.
+# Massless modes change the simulated launch of a chip with 0.01 % damping by 1.2e-3.
+# A finer model changes the simulated launch of the chip in the same direction, but by four times as
+# much as massless modes.
 RINGING_ERROR = 1e-2
 MAX_RINGING_RATIO = 0.02
 # A mode may become massless if (frequency / end of the band) exceeds this ratio.
-# Modes with lower frequencies do not respond instantaneously.
+# Modes nearer to the band keep their inertia, because they do not follow loads instantaneously.
 MIN_FREQUENCY_RATIO = 2.0
-EQUAL_TIMES_TOLERANCE = 1e-9  # relative difference of equal relaxation times
+EQUAL_TIMES_TOLERANCE = 1e-9  # relaxation times up to this relative difference count as equal
 # combinations of modes with a smaller relative singular value count as not driven by any port
 ZERO_SINGULAR_VALUE = 1e-12
 
@@ -270,15 +272,16 @@ def make_highest_modes_massless(model: Resonators, tolerance: float | None = Non
     as possible under two conditions:
 
     * At the end f of the band, the omitted inertia changes the compliance of every mechanical port
-      by less than ``MASSLESS_ERROR`` of the static compliance. The change is
-      ``sum_j (g_j / w_j)^2 (f / f_j)^2`` for modes with frequencies f_j. If the lowest massless
-      mode has little damping, the limit is ``RINGING_ERROR`` instead.
+      by less than ``MASSLESS_ERROR`` of the static compliance. At the frequency f, massless
+      modes with the port gains g_j and frequencies ``f_j = w_j / (2 pi)`` change the compliance by
+      ``sum_j (g_j / w_j)^2 (f / f_j)^2``. If the lowest massless mode has little damping, the limit
+      is ``RINGING_ERROR`` instead.
     * The error estimate of the resulting model is at most ``tolerance``.
 
     The static response remains exact, and the model remains passive. Modes with equal relaxation
     times are merged; one state remains for each independent port. For example, all modes have equal
-    relaxation times if damping is proportional to stiffness. The states without inertia have no
-    effect on an acceleration port.
+    relaxation times if damping is proportional to stiffness. A mode without inertia contributes
+    nothing to the response of an acceleration port.
     """
     certificate = model.certificate
     if certificate is None:
@@ -325,7 +328,7 @@ def _remove_inertia(model: Resonators, count: int) -> Resonators:
     for port, capacitance in zip(model.ports, np.diag(model.D), strict=True):
         if port.has_charge_output and capacitance <= 0:
             raise UsageError(
-                "the body has a massless contact and an electrode without capacitance",
+                "a body with an electrode without capacitance cannot have massless contact ports",
                 where=port.name,
                 hint='set contact.inertia = "lumped"',
             )
@@ -362,18 +365,19 @@ def simulate_resonators(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Compute outputs and stored energy of resonators under given loads over time.
 
-    ``load`` (n, ports) contains forces on the chip [N] and voltages [V] at the times ``t`` (n,)
+    ``load`` (n, ports) contains forces on the body [N] and voltages [V] at the times ``t`` (n,)
     [s]. Between successive times, the loads are linear. The outputs (n, ports) are displacements
     [m] and charges [C]. The stored energy (n,) is in J.
 
     The characteristic equation of a mode ``z'' + d z' + w^2 z = r`` has the roots a and b. For each
-    root, one state is integrated:
+    root a, the equation ``x' = a x + r`` with the load r is integrated over the time steps h:
 
-        x' = a x + r,    x(t + h) = e^(ah) x + h p1(ah) r + h p2(ah) (r(t + h) - r)
+        x(t + h) = e^(ah) x(t) + h p1(ah) r(t) + h p2(ah) (r(t + h) - r(t))
 
-    with ``p1 = (e^s - 1)/s`` and ``p2 = (e^s - 1 - s)/s^2`` at ``s = ah``. The displacement is ``z
-    = (x_a - x_b)/(a - b)``. For piecewise linear loads, the formulas are exact for any time step h.
-    A mode without inertia has only one state. The chip starts in equilibrium with ``load[0]``.
+    The functions p1 and p2 are ``p1(s) = (e^s - 1)/s`` and ``p2(s) = (e^s - 1 - s)/s^2``. The
+    states ``x_a`` and ``x_b`` of the roots a and b give the displacement ``z = (x_a - x_b)/(a -
+    b)`` of the mode. For piecewise linear loads, the formulas are exact for any time step h. A mode
+    without inertia has only one state. The body starts in equilibrium with the loads ``load[0]``.
     """
     drive, inertial = load @ model.gain.T, model.order - model.massless
     z = np.empty_like(drive)
@@ -415,9 +419,9 @@ def integrate_roots(roots: np.ndarray, t: np.ndarray, drive: np.ndarray) -> np.n
 
     ``drive`` contains the values of r at the times ``t``.
 
-    Return the states x, an array of shape (n, roots). Groups of time steps are first integrated in
-    parallel, each from the state zero. Then, the free response to the final state of the previous
-    group is added to each group.
+    Return the states x, an array of shape (n, roots). The time steps are divided into groups. All
+    groups are integrated in parallel, each from the state zero. Afterwards, the free response of
+    each group of time steps to the final state of the previous group is added.
     """
     states = np.empty((t.size, roots.size), dtype=np.result_type(roots, drive))
     states[0] = state = drive[0] / -roots
@@ -472,12 +476,11 @@ def _compute_step_propagators(
 
 
 TANGENT_FREQUENCY = 1e3  # frequency [Hz] at which data sheets give the loss tangent
-DEFAULT_DECADES = (
-    4.0  # a sum is fitted over at most this number of decades below the end of the band
-)
+# largest number of decades below the upper band limit over which Foster's sum is fitted
+DEFAULT_DECADES = 4.0
 POINTS_PER_DECADE = 30
 MAX_RELAXATIONS = 6  # largest number of relaxation terms per decade
-# permitted error of Foster's sum / min(loss tangent, 0.01)
+# permitted error of Foster's sum, relative to the smaller of the loss tangent and 0.01
 LOSS_ERROR_SHARE = 0.02
 
 
@@ -490,7 +493,7 @@ def compute_permittivity_ratio(frequency: np.ndarray, tangent: float) -> np.ndar
 def compute_clamped_tangent(tangent: float, ratio: float) -> float:
     """Return the loss tangent of a clamped body from the free body's loss tangent.
 
-    Both loss tangents are at 1 kHz.
+    The loss tangents of the free body and of the clamped body are values at 1 kHz.
 
     Parameters
     ----------
@@ -510,10 +513,10 @@ def compute_clamped_tangent(tangent: float, ratio: float) -> float:
     """
     if not tangent * ratio < 1:  # otherwise the clamped loss angle would be at least 90 degrees
         raise UsageError(
-            "the loss tangent is too large for the clamped capacitance",
+            "the loss tangent must be less than the ratio of clamped to motional capacitance",
             where="damping.loss_tangent",
             got=f"{tangent:g}",
-            expected=f"less than {1 / ratio:.3g}, the ratio of clamped to motional capacitance",
+            expected=f"less than {1 / ratio:.3g}",
         )
     delta = math.atan(tangent)
     return math.tan(delta + math.asin(ratio * math.sin(delta)))
@@ -525,8 +528,8 @@ def fit_foster_network(
     """Fit a Foster sum with few terms to a permittivity with constant loss tangent.
 
     The Foster sum is ``a_0 + sum_k a_k / (1 + s t_k)``. Return the amplitudes ``a`` (k + 1,), the
-    rates ``1/t`` (k,) [1/s], and the largest relative error of the sum. If no sum has an error of
-    at most ``error``, the most accurate sum is returned.
+    rates ``1/t`` (k,) [1/s], and the largest relative error of the sum. If no tried Foster sum has
+    an error of at most ``error``, the most accurate Foster sum is returned.
     """
     low, high = max(band[0], band[1] / 10**DEFAULT_DECADES), band[1]
     decades = np.log10(high / low) + 1e-9
@@ -554,7 +557,8 @@ def add_dielectric_loss(model: Resonators, tangent: float) -> Resonators:
     ``tangent`` is the loss tangent of the mechanically free body at 1 kHz. The loss tangent is
     constant in the band of the certificate. The error estimate in the certificate of the result
     includes the deviation of the loss tangent from a constant. The motional and the clamped
-    capacitance are sums over all electrodes, with all other electrodes shorted.
+    capacitance are sums over the electrodes: each electrode contributes its capacitance while all
+    other electrodes are shorted.
 
     Raises
     ------
@@ -568,7 +572,7 @@ def add_dielectric_loss(model: Resonators, tangent: float) -> Resonators:
             "this body has no dielectric, so it cannot have a loss tangent",
             where="damping.loss_tangent",
             expected="a body with electrodes",
-            hint="delete loss_tangent",
+            hint="delete the key `loss_tangent`",
         )
     D = model.D[np.ix_(electrical, electrical)]
     motional = np.sum((model.gain[:, electrical] / model.omega[:, None]) ** 2)

@@ -29,7 +29,7 @@ from scipy.optimize import least_squares
 from kc2spice.core.domains import ELECTRICAL
 from kc2spice.core.errors import UsageError
 from kc2spice.core.optional_libraries import import_optional
-from kc2spice.linalg.processor import use_fast_kernels
+from kc2spice.linalg.openblas_kernels import use_fast_kernels
 from kc2spice.rom.linear_model import Certificate, LinearModel, Port
 from kc2spice.rom.pencil import make_explicit_pencil
 from kc2spice.rom.state_space import ABCD
@@ -37,9 +37,10 @@ from kc2spice.rom.state_space import ABCD
 # number of vector fitting iterations; further iterations would amplify rounding errors
 FITTING_ITERATIONS = 6
 MAX_EVALUATIONS = 60  # largest number of function evaluations in the refinement of poles
-# smallest decay rate of a pole that samples determine, relative to the spacing of samples
+# smallest decay rate at which samples determine a pole, divided by the spacing of the samples
 MIN_DECAY_RATIO = 0.25
-# largest decay rate of a pole that the samples determine, relative to the end of the band
+# largest decay rate at which samples determine a pole, divided by the angular frequency at the end
+# of the band
 MAX_DECAY_RATIO = 10.0
 # Upper limits for the frequency of a pole, relative to the end of the band, in order of trial.
 # Transmission lines need poles above the band.
@@ -47,7 +48,7 @@ MAX_DECAY_RATIO = 10.0
 MAX_FREQUENCY_RATIOS = (3.0, 1.25, 1.001)
 # largest number of parameters per measured value; more parameters would describe noise
 MAX_PARAMETER_SHARE = 0.25
-# four times the smallest distance between the logarithms of a start value and of a bound
+# Logarithms of start values differ from the logarithms of bounds by at least BOUND_DISTANCE / 4.
 BOUND_DISTANCE = 1e-3
 MAX_POLES = 60  # largest number of poles; a complex pair counts once
 # largest number n of states; the time for passivity enforcement is proportional to n^6
@@ -56,12 +57,16 @@ NOISE_FACTOR = 1.2  # largest deviation of a good fit, as a multiple of the nois
 GOOD_DEVIATION = 1e-5  # largest deviation of a good fit, as a fraction of the largest value
 # smallest useful relative reduction of the deviation by three additional poles
 MIN_IMPROVEMENT = 0.1
-MAX_FAILURES = 2  # number of successive reductions below MIN_IMPROVEMENT that end the search
-# accepted (deviation of a passive fit / deviation of the best fit without enforced passivity)
+# The search ends if this number of successive fits, each with more poles than the fit before,
+# reduces the deviation by less than MIN_IMPROVEMENT.
+MAX_FAILURES = 2
+# The search ends if the deviation of a passive fit is below PASSIVITY_RATIO times the deviation of
+# the best fit without enforced passivity.
 PASSIVITY_RATIO = 1.2
 # largest deviation of an acceptable passive model, relative to the largest value of the data
 POOR_DEVIATION = 0.2
-# first trial of (scale factor - 1), which corrects a violation of passivity by rounding errors
+# If rounding errors make a model slightly active, C and D are divided by a factor above one.
+# OPTIMUM_ROUNDING is the first trial value of (factor - 1).
 OPTIMUM_ROUNDING = 1e-6
 MAX_PASSIVITY_EXCESS = 0.1  # largest violation of passivity that scaling corrects
 # tolerance of the passivity check, relative to the limit 1 of the largest singular value
@@ -89,7 +94,8 @@ def fit_multiport(f: np.ndarray, Y: np.ndarray, noise: float, where: str) -> Lin
     model = _convert_to_charges(*_select_fit(f, S, noise, where), R)
     response = 2j * np.pi * f[:, None, None] * model.transfer(f)
     peak = np.abs(Y).max(axis=0)
-    # without coupling between two ports, the entry is zero and is compared with the largest peak
+    # If two ports are not coupled, their entry of Y is zero and has no peak.
+    # The deviation of a zero entry is relative to the largest peak of all entries of Y.
     deviation = np.abs(response - Y) / np.where(peak > 0, peak, peak.max())
     worst = np.unravel_index(int(deviation.argmax()), deviation.shape)
     error, at = float(deviation[worst]), float(f[worst[0]])
@@ -143,7 +149,8 @@ def _fit_increasing_orders(
 ) -> list[tuple[float, ABCD]]:
     """Fit models with increasing numbers of poles to scattering parameters.
 
-    Return pairs of deviation and state-space matrices, sorted by deviation.
+    Each model is returned as a pair: its deviation from the data, and its state-space matrices. The
+    models are sorted by their deviations.
     """
     skrf = import_optional("skrf", where)
     network = skrf.Network(frequency=skrf.Frequency.from_f(f, unit="hz"), s=S, z0=1.0)
@@ -221,9 +228,10 @@ def _enforce_passivity(model: ABCD, f: np.ndarray, S: np.ndarray) -> ABCD | None
     count, order = triangle + m * (n + m), n + 2 * m
 
     def make_inequality_matrix(x: np.ndarray) -> np.ndarray:
-        """Return the matrix of the passivity inequality, without its constant entries -1.
+        """Return the part of the passivity inequality matrix that is linear in ``x``.
 
-        ``x`` contains the lower triangle of P, and then the rows of the block matrix ``[C D]``.
+        The constant entries -1 of the matrix are omitted. ``x`` contains the lower triangle of P,
+        and then the rows of the block matrix ``[C D]``.
         """
         P, CD = np.zeros((n, n)), x[triangle:count].reshape(m, n + m)
         P[pairs] = P.T[pairs] = x[:triangle]
@@ -343,8 +351,9 @@ def refine_poles(
     def fit_residues(x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Fit residues for given pole parameters ``x`` by linear least squares.
 
-        Return an orthonormal basis of the columns, the coefficients of the columns, and the
-        residual.
+        Each column of the least-squares matrix contains the samples of one term of the model.
+        Return an orthonormal basis of the columns of this matrix, the fitted coefficients of the
+        terms, and the residual of the fit.
         """
         columns, size = _scale_columns(s, unpack_poles(x), real)
         Q, upper = np.linalg.qr(columns)
@@ -420,7 +429,10 @@ def _yield_pole_derivatives(
     one, other = 1 / (s[:, None] - p) ** 2, 1 / (s[:, None] - p.conj()) ** 2
 
     def compute_pole_derivative(k: int, rate: complex) -> np.ndarray:
-        """Return the derivative of the fit if pole number ``k`` moves at ``rate``."""
+        """Return the derivative of the fit with respect to a parameter of pole ``k``.
+
+        ``rate`` is the derivative of the pole with respect to the parameter.
+        """
         result = np.outer(rate * one[:, k], residues[k])
         if not real[k]:
             result = result + np.outer(np.conj(rate) * other[:, k], residues[k].conj())
@@ -468,9 +480,9 @@ def is_passive(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray) -> bo
     """Return whether a state-space model of scattering parameters is passive.
 
     A passive model is stable, the norm of D is at most one, and the gain is at most one at all
-    frequencies. The imaginary eigenvalues of a Hamiltonian matrix are the only frequencies where
-    the gain may cross a bound just above one. Therefore, the gain is computed only at these
-    frequencies.
+    frequencies. The gain can cross a limit just above one only at the imaginary eigenvalues of a
+    Hamiltonian matrix. Therefore, the function computes the gain only at the imaginary eigenvalues
+    of the Hamiltonian matrix.
     """
     if (np.linalg.eigvals(A).real >= 0).any() or np.linalg.norm(D, 2) >= 1 + PASSIVITY_MARGIN:
         return False

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from kc2spice.rom.heat_over_ranges import HeatOverRanges
-from kc2spice.rom.heat_range_files import read_heat_over_ranges, write_heat_over_ranges
 from kc2spice.rom.io import make_damage_error, read_arrays, write_archive
+from kc2spice.rom.parametric_heat_model_files import read_heat_over_ranges, write_heat_over_ranges
+from kc2spice.rom.parametric_heat_models import HeatOverRanges
 from kc2spice.rom.parametric_models import DampingParameter
 from kc2spice.rom.parametric_records import (
     make_range_record,
@@ -39,7 +39,8 @@ def write_parametric_model(model: ModelOverRanges, directory: Path, name: str) -
     """
     if isinstance(model, HeatOverRanges):
         return write_heat_over_ranges(model, directory, name)
-    assert isinstance(model, ResonatorsOverRanges)  # HeatOverRanges is the only other class
+    # A model over ranges is of class HeatOverRanges or ResonatorsOverRanges; no third class exists.
+    assert isinstance(model, ResonatorsOverRanges)
     content = make_range_record(model) | {
         "losses": list(map(asdict, model.losses)),
         "blocks": model.blocks,

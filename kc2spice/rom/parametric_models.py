@@ -32,14 +32,17 @@ MIN_MODES = 10  # smallest number of computed modes
 MAX_PARAMETERS = 4  # more parameters would need hundreds of full models
 # degree of polynomials, keyed by number of parameters
 DEFAULT_DEGREES = {0: 0, 1: 6, 2: 5, 3: 4, 4: 3}
-DEGREE_STEP = 2  # increase of the degree if the polynomials are inaccurate over wide ranges
-# largest degree of the polynomials (with 11, 55 and 84 full models), keyed by number of parameters
+# amount by which the degree is raised if polynomials of the default degree are too inaccurate
+DEGREE_STEP = 2
+# Largest degree of the polynomials, keyed by number of parameters.
+# The largest degrees need 11, 55 and 84 full models for 1, 2 and 3 parameters.
 MAX_DEGREES = {1: 10, 2: 9, 3: 6}
 # In a range from zero to ``high``, this share of ``high`` is added to values before the logarithm.
 # For values far below the added offset, the coordinate is a linear function of the value.
 LOG_OFFSET_RATIO = 1e-6
 # A basis vector is omitted if (energy / largest energy of a basis vector) is below this ratio.
-# The stiff motions of a thin plate have 1e8 times the energy of the soft motions of the plate.
+# The ratio is far below 1e-8, because stiff motions of thin plates have 1e8 times the energy of
+# soft motions.
 # With a ratio of 1e-12, the reduced model of a thin plate would have an error of 1e-4.
 DEPENDENT_COLUMN = 1e-15
 
@@ -52,8 +55,8 @@ class ParameterAxis:
     """Range of a parameter, with a logarithmic coordinate from -1 to 1.
 
     The coordinate is -1 at ``low`` and 1 at ``high``. If ``from_zero`` is true, the range may begin
-    at zero. For such a range, :data:`LOG_OFFSET_RATIO` times ``high`` is added to the value before
-    the logarithm.
+    at zero. If ``low`` is zero, :data:`LOG_OFFSET_RATIO` times ``high`` is added to the parameter
+    value before the logarithm.
 
     Raises
     ------
@@ -86,12 +89,12 @@ class ParameterAxis:
         return self.value(0.0)
 
     def value(self, x: float) -> float:
-        """Return the value of the parameter at a coordinate ``x``."""
+        """Return the value of the parameter at a normalised coordinate ``x``."""
         low, high = self.low + self.log_offset, self.high + self.log_offset
         return low * float((high / low) ** (0.5 * (x + 1))) - self.log_offset
 
     def compute_coordinate(self, value: float) -> float:
-        """Return the coordinate of a value, or nan if value and range differ in sign."""
+        """Compute the range coordinate of a value; nan if value and range differ in sign."""
         low, high = self.low + self.log_offset, self.high + self.log_offset
         if not (value + self.log_offset) / low > 0:
             return float("nan")
@@ -147,7 +150,7 @@ class ParameterPolynomials:
 
     @property
     def parameter_axes(self) -> dict[str, ParameterAxis]:
-        """Axis of each parameter, with its range, keyed by the name of the parameter."""
+        """Axes of the parameters, each with its range, keyed by the name of the parameter."""
         return {axis.name: axis for axis in (*self.axes, *(item.axis for item in self.losses))}
 
     def compute_products(self, values: Values) -> np.ndarray:
@@ -164,7 +167,8 @@ class ParameterPolynomials:
     def compute_damping(self, pair: Iterable[float], values: Values) -> tuple[float, float]:
         """Return the Rayleigh coefficients alpha and beta at parameter ``values``.
 
-        ``pair`` contains alpha and beta in the middle of the ranges of ``losses``.
+        ``pair`` contains alpha and beta for damping parameters in the middle of their ranges. The
+        attribute ``losses`` lists the damping parameters.
         """
         alpha, beta = pair
         for loss in self.losses:
@@ -226,7 +230,7 @@ def reduce_over_parameters(
         return cached_model(tuple(sorted(values.items())))
 
     middle = {axis.name: axis.middle_value for axis in axes}
-    frame = _require_parametric_model(build_full_model(middle), None)
+    frame = _require_symmetric_model_of_fixed_mesh(build_full_model(middle), None)
     losses = list[DampingParameter]()
     for axis in axes:
         if loss := _find_damping_parameter(build_full_model, axis, middle, frame):
@@ -245,7 +249,9 @@ def reduce_over_parameters(
     for number, x in enumerate(points):
         progress(number + 1, len(points))
         values = {axis.name: axis.value(v) for axis, v in zip(stiffness_axes, x, strict=True)}
-        models.append(_require_parametric_model(build_full_model(middle | values), frame))
+        models.append(
+            _require_symmetric_model_of_fixed_mesh(build_full_model(middle | values), frame)
+        )
     V = _orthonormalise(
         [_compute_modes_and_static_responses(model.pencil, band) for model in models], frame.M
     )
@@ -310,7 +316,7 @@ def compute_natural_modes(
 
     The result contains all modes up to ``top`` [rad/s], and at least :data:`MIN_MODES` modes. The
     mode shapes (n, k) are M-orthonormal. ``inverse`` is a factorisation of the matrix ``K - square
-    M``.
+    * M`` for the scalar ``square`` [1/s^2].
     """
     K, M = pencil.coefficients[0], pencil.coefficients[2]
     n = pencil.size
@@ -332,8 +338,10 @@ def compute_natural_modes(
         count *= 2
 
 
-def _require_parametric_model(model: LinearModel, frame: LinearModel | None) -> LinearModel:
-    """Reject a model that is not symmetric, or whose mesh changes with parameters."""
+def _require_symmetric_model_of_fixed_mesh(
+    model: LinearModel, frame: LinearModel | None
+) -> LinearModel:
+    """Require a symmetric model whose mesh does not change with the parameters."""
     if model.first_order or not model.symmetric:
         raise UsageError(
             "the model of this part cannot have parameters",
@@ -388,9 +396,10 @@ def _orthonormalise(columns: Sequence[np.ndarray], M: Matrix) -> np.ndarray:
 def _find_damping_parameter(
     full: Full, axis: ParameterAxis, middle: Values, frame: LinearModel
 ) -> DampingParameter | None:
-    """Return a parameter as damping parameter; None if it has other effects.
+    """Find the damping parameter of an axis; None for axes that change other matrices.
 
-    A damping parameter only multiplies the Rayleigh coefficients by powers of the parameter.
+    A damping parameter only multiplies the Rayleigh coefficients by powers of the parameter. The
+    result is None if the parameter of ``axis`` changes one of the matrices M, K, B and D.
     """
     if frame.rayleigh is None:
         return None

@@ -11,15 +11,17 @@ flows q::
 The unknowns x are the differences between ``T_e`` and the static temperatures ``Psi T_i``. The
 matrix ``G`` contains the static heat flows, and the matrix ``S`` the static temperatures. The other
 matrices are ``c = E_ei + E_ee Psi`` and ``M = E_ii + 2 E_ie Psi + Psi' E_ee Psi``. At high
-frequencies, the terms of Q nearly cancel. For example, the heat flow through a film into a body
-approaches ``K_ii T_i``, the heat flow into a cold body. Therefore, the errors of Q and T_q may be
-much larger than the error of x. In the original equations, terms cancel at low frequencies instead
-of high frequencies::
+frequencies, the terms of Q nearly cancel. For example, at high frequencies the heat flow through a
+film into a body approaches ``K_ii T_i``, because the temperature of the body hardly changes.
+Therefore, the errors of Q and T_q may be much larger than the error of x. In the original
+equations, terms cancel at low frequencies instead of high frequencies::
 
     (K_ee + s E_ee) T_e = B_e q - (K_ei + s E_ei) T_i,
-    Q = (K_ii + s E_ii) T_i + (K_ie + s E_ie) T_e - B_i' q,    T_q = B_i' T_i + B_e' T_e,
+    Q = (K_ii + s E_ii) T_i + (K_ie + s E_ie) T_e - B_i' q,    T_q = B_i' T_i + B_e' T_e.
 
-If the model of ``T_e`` is reduced with the input matrices ``K_ei`` and ``E_ei``, Q is accurate.
+The heat flows Q depend on ``T_e`` only by the outputs ``K_ie T_e`` and ``E_ie T_e``. Therefore, Q
+is accurate if the model of ``T_e`` is reduced with the corresponding input matrices ``K_ei`` and
+``E_ei``.
 """
 
 from __future__ import annotations
@@ -31,10 +33,10 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from kc2spice.core.domains import THERMAL
-from kc2spice.rom.entry_scales import EntryScales, get_min_relative_divisor
-from kc2spice.rom.interface_split import DENSE, ROUNDING, SplitHeatModel
 from kc2spice.rom.intermediate_reduction import build_intermediate_model
 from kc2spice.rom.linear_model import LinearModel, Norm, Port
+from kc2spice.rom.prescribed_temperature_split import DENSE, ROUNDING, SplitHeatModel
+from kc2spice.rom.transfer_function_error_scales import EntryScales, get_min_relative_divisor
 
 FREQUENCIES = 40  # number of frequencies at which smooth responses of heat flows are compared
 DECADES = 4.0  # number of decades below the end of the band in which responses are compared
@@ -72,7 +74,9 @@ class FlowReference:
     response : (n, ports, ports) response of the outputs Q and T_q (rows) to T_i and q (columns).
     uncertainty : relative error of the response.
     rounding : (ports, ports) rounding errors of the response.
-    share : smallest divisor of a relative error, as a share of the peak of each entry.
+    share : smallest divisor of the errors of a response entry, relative to the largest magnitude of
+        this entry over all frequencies. Otherwise, an error is divided by the magnitude of the
+        entry at the frequency of the error.
     """
 
     frequency: np.ndarray
@@ -90,7 +94,7 @@ class FlowReference:
         norm: Norm,
         tolerance: float,
     ) -> FlowReference:
-        """Compute the reference response from a full model with divided unknowns."""
+        """Compute the reference response of a full model with prescribed temperatures."""
         low, high = max(band[0], band[1] / 10**DECADES), band[1]
         frequency = np.r_[[0.0] * (band[0] == 0.0), np.geomspace(low, high, FREQUENCIES)]
         uncertainty = 0.0
@@ -123,12 +127,13 @@ def _project_on_responses(
 ) -> tuple[LinearModel, SplitHeatModel, float]:
     """Replace a large model by its projection on responses in the ``band`` [Hz].
 
-    Return the smaller model, the division of its unknowns, and its error. The error is far below
-    the ``tolerance``.
+    Return the smaller model, its division into prescribed temperatures and all other unknowns, and
+    its error. The error is far below the ``tolerance``.
     """
     limits = (share * tolerance for share in REFERENCE_SHARE)
     space = build_intermediate_model(make_driven_model(model, parts).pencil, band, *limits)
-    assert space.basis is not None  # only small models have no basis
+    # The intermediate model of a large model always has a basis; only a small model needs none.
+    assert space.basis is not None
     n, at, others = len(parts.at), parts.at, parts.others
     W, _ = np.linalg.qr(np.hstack([space.basis, parts.psi]))
     V = np.zeros((model.order, n + W.shape[1]))
@@ -146,11 +151,12 @@ def _project_on_responses(
 def _compute_response(
     model: LinearModel, parts: SplitHeatModel, frequency: np.ndarray
 ) -> np.ndarray:
-    """Compute the response of heat flows and temperatures at all frequencies.
+    """Compute the frequency response: heat flows and temperatures at all ports.
 
-    The result has the shape (n, ports, ports) and the entries of :attr:`FlowReference.response`.
-    The module docstring contains two equivalent forms of the equations. At each frequency, the form
-    with the smaller terms is used, because smaller terms have smaller rounding errors.
+    Like :attr:`FlowReference.response`, the result has the shape (n, ports, ports), with outputs as
+    rows and inputs as columns. The module docstring contains two equivalent forms of the equations.
+    At each frequency, the form with the smaller terms is used, because smaller terms have smaller
+    rounding errors.
     """
     K, E = map(sparse.csc_array, model.pencil.coefficients)
     at, others, count = parts.at, parts.others, len(parts.shares)

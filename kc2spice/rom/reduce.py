@@ -5,8 +5,8 @@ The result is a reduced model with a certificate.
 The reduction has two steps. The first step (:mod:`kc2spice.rom.intermediate_reduction`) replaces
 the full-order model by an intermediate model that is far more accurate than the tolerance. The
 second step computes bases of the intermediate model with all suitable reductors, and selects the
-smallest order whose error estimate is within the tolerance. Then the stability and passivity of the
-reduced model are proven.
+smallest order whose error estimate is within the tolerance. After the order is selected, the
+stability and passivity of the reduced model are proven where possible.
 
 Rigid-body modes are separated before the reduction and remain exact. The error estimate is the sum
 of the error of the intermediate model, and of the largest difference between the reduced and the
@@ -32,8 +32,8 @@ from kc2spice.rom.definiteness import allows_cholesky, is_definite
 from kc2spice.rom.intermediate_model import IntermediateModel
 from kc2spice.rom.intermediate_reduction import build_intermediate_model
 from kc2spice.rom.linear_model import LinearModel, Norm
+from kc2spice.rom.minimax_fit import find_lower_order
 from kc2spice.rom.order_search import require_order, select_basis, select_fewest_states
-from kc2spice.rom.peak_error_fit import find_lower_order
 from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.reduced_basis import ReducedBasis, ReductionTask
 from kc2spice.rom.reductors.base import Reductor, require_basis
@@ -45,7 +45,7 @@ from kc2spice.rom.reductors.registry import (
     list_suited_reductors,
 )
 from kc2spice.rom.stability import StabilityProof, prove_stability
-from kc2spice.rom.structural_reduction import approximate_causally, reduce_to_first_order
+from kc2spice.rom.structural_damping_reduction import approximate_causally, reduce_to_first_order
 
 # largest frequency [Hz] of a band; the square of the angular frequency must be a finite float
 MAX_FREQUENCY = 1e30
@@ -55,11 +55,14 @@ MIN_TOLERANCE = 1e-10
 # requested error of the intermediate model, as a small share of the tolerance; found by trials
 INTERMEDIATE_SHARE = 0.02
 # Largest permitted error of the intermediate model, as a share of the tolerance.
-# If rounding errors prevent the requested error, the largest permitted error is the limit.
+# If rounding errors make the requested error of the intermediate model unreachable, the reduction
+# accepts an error up to this share of the tolerance.
 MAX_INTERMEDIATE_SHARE = 0.5
 # Smallest share of the tolerance that must remain after rounding errors are subtracted.
-# If only a quarter of the tolerance remains, the reduced model needs one or two additional states.
-# If less than a quarter remains, the reduction warns, and the error estimate exceeds the tolerance.
+# If rounding errors use three quarters of the tolerance, the reduced model needs one or two
+# additional states.
+# If rounding errors use more than three quarters of the tolerance, the reduction does not subtract
+# rounding errors. In this case, the error estimate exceeds the tolerance, and the reduction warns.
 MIN_REMAINING_SHARE = 0.25
 # Requested error of the intermediate model if the order is prescribed, found by trials.
 FIXED_ORDER_TARGET = 1e-8
@@ -92,8 +95,8 @@ def reduce_model(
       The function warns if the error of the replacement exceeds the tolerance.
     * The inertia of a symmetric model with only real poles is omitted if the model without inertia
       has fewer states and the same response.
-    * Rounding errors of the full model's matrix entries may change the response by more than
-      ``tolerance``. If so, the error estimate includes the change, and the function warns.
+    * If rounding errors of the full model's matrix entries change the response by more than
+      ``tolerance``, the error estimate includes the change, and the function warns.
 
     Parameters
     ----------
@@ -228,8 +231,9 @@ def compute_first_step(
 ) -> tuple[IntermediateModel, StabilityProof]:
     """Compute the first reduction step: an intermediate model and a stability proof.
 
-    The proof applies to the full-order model, and also covers passivity. If ``target.exact`` is
-    false, any error of the intermediate model is accepted. The caller then checks the error.
+    The returned stability proof states whether the full-order model is stable and whether it is
+    passive. If ``target.exact`` is false, any error of the intermediate model is accepted, and the
+    caller must check the error.
     """
     # If the stiffness matrix proves to be indefinite, the required memory is checked again later.
     require_memory_for_factors(
@@ -275,7 +279,7 @@ def find_basis_of_order(
     target: ReductionTarget,
     bases: dict[str, list[ReducedBasis]] | None = None,
 ) -> tuple[ReducedBasis, int]:
-    """Return the basis with the smallest error at a prescribed order, and the order.
+    """Return the basis with the smallest error at ``target.order``, and this order.
 
     ``bases`` contains bases that are already computed, keyed by the name of the reductor. The
     function adds new bases to ``bases``.
@@ -285,7 +289,7 @@ def find_basis_of_order(
     key = find_reductor(target.method).name if target.method is not None else ""
     if key not in bases:
         if target.method is not None:
-            bases[key] = [_compute_prescribed_basis(task, reductors[0])]
+            bases[key] = [_compute_basis_of_prescribed_method(task, reductors[0])]
         else:
             suited = (item for item in reductors if item.congruence and item.applies_to(task))
             candidates = (item.basis(task) for item in suited)
@@ -301,7 +305,7 @@ def find_smallest_basis(
     assert target.tolerance is not None
     tolerance = _subtract_rounding_error(target.tolerance, task.intermediate)
     if target.method is not None:
-        basis = _compute_prescribed_basis(task, reductors[0])
+        basis = _compute_basis_of_prescribed_method(task, reductors[0])
         return basis, require_order(basis, tolerance, advise_more_vectors(reductors[0]))
     basis, order = select_fewest_states(
         task, reductors, tolerance, shorten=not target.contact, keep_form=target.keep_form
@@ -320,8 +324,8 @@ def _subtract_rounding_error(tolerance: float, intermediate: IntermediateModel) 
     return remaining if enough else tolerance
 
 
-def _compute_prescribed_basis(task: ReductionTask, reductor: Reductor) -> ReducedBasis:
-    """Return the basis of a prescribed reduction method.
+def _compute_basis_of_prescribed_method(task: ReductionTask, reductor: Reductor) -> ReducedBasis:
+    """Compute the basis of a prescribed reduction method.
 
     Raises
     ------
@@ -346,8 +350,9 @@ def _compute_prescribed_basis(task: ReductionTask, reductor: Reductor) -> Reduce
 def warn_of_rounding_errors(rom: LinearModel, floor: float, tolerance: float | None) -> None:
     """Warn if rounding errors of the matrix entries change the response too much.
 
-    ``floor`` is the relative change of the full model's response. The function warns if ``floor``,
-    or the error estimate of ``rom``, exceeds the ``tolerance``.
+    ``floor`` is the relative change of the full model's response due to rounding errors of its
+    matrix entries. The function warns if ``floor``, or the error estimate of ``rom``, exceeds the
+    ``tolerance``.
     """
     if tolerance is None:
         return
@@ -362,8 +367,8 @@ def warn_of_rounding_errors(rom: LinearModel, floor: float, tolerance: float | N
     elif tolerance < estimate:
         warnings.warn(
             f"the error estimate of the reduced model is {estimate:.2g}, more than the tolerance "
-            f"{tolerance:g}: rounding errors of the matrix entries change the response of the "
-            f"full model by {floor:.1e}",
+            f"{tolerance:g}, because it includes rounding errors of the matrix entries, which "
+            f"change the response of the full model by {floor:.1e}",
             stacklevel=4,
         )
 
@@ -396,9 +401,10 @@ def _reduce_structural_damping(fom: LinearModel, target: ReductionTarget) -> Lin
         )
     if target.method is not None and not find_reductor(target.method).congruence:
         raise UsageError(
-            "structural damping needs a method that preserves the form of the matrices",
+            "this method cannot reduce a model with structural damping",
             where="method",
             got=target.method,
+            expected="a method that uses a Galerkin projection",
             hint="leave out the method",
         )
     undamped = replace(fom, loss_factor=0.0, loss=None)
@@ -433,10 +439,10 @@ def require_valid_target(target: ReductionTarget) -> None:
         )
     if order is not None and (order < 1 or order != int(order)):
         raise UsageError(
-            "the order is not a number of states",
+            "the order, which is the number of states, is not a positive whole number",
             where="order",
             got=order,
-            expected="a whole number from 1 on",
+            expected="a whole number of at least 1",
             hint=f"for example {max(1, int(order))}",
         )
     if target.norm not in get_args(Norm):

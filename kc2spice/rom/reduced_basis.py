@@ -34,7 +34,7 @@ from kc2spice.rom.state_space import restore_time_unit, to_schur_form
 MIN_ERROR_ESTIMATE = 1e-11
 # Safety factor of errors at sample frequencies, because errors between samples may be larger.
 # With the factor 1.15, error estimates of 500 random models are one to three times the true errors.
-# The test of the factor is in tests/physics/test_certificates.py.
+# The test of SAFETY_FACTOR is in tests/physics/test_certificates.py.
 SAFETY_FACTOR = 1.15
 
 T = TypeVar("T")
@@ -76,7 +76,7 @@ class ReductionTask:
         norm: Norm,
         tolerance: float | None = None,
     ) -> ReductionTask:
-        """Create a task whose error estimator uses a given band [Hz] and norm."""
+        """Create a reduction task from the models, with a given band [Hz] and norm."""
         return cls(fom, pencil, intermediate, intermediate.make_estimator(band, norm), tolerance)
 
     @property
@@ -124,7 +124,7 @@ class ReductionTask:
 
     @property
     def model(self) -> LinearModel:
-        """Linear model of the intermediate model, without rigid-body modes.
+        """Intermediate model as a ``LinearModel``, without rigid-body modes.
 
         The matrices are dense, and equal to :attr:`pencil_without_rigid_modes`: ``M E K B C D``, or
         ``A E B C D`` for a first-order model.
@@ -180,10 +180,10 @@ class ReductionTask:
         W = None if W is None else require_vectors(W, "W", V.shape)
         if not isinstance(fixed, int | np.integer) or not 0 <= fixed <= V.shape[1]:
             raise UsageError(
-                "this value is not a number of vectors",
+                "the argument `fixed` is not a valid number of leading vectors",
                 where="fixed",
                 got=repr(fixed),
-                expected=f"a whole number from 0 to {V.shape[1]}, the columns of V",
+                expected=f"a whole number from 0 to {V.shape[1]}, the number of columns of V",
             )
         if (
             free := self.pencil_without_rigid_modes.free
@@ -226,11 +226,11 @@ class ReductionTask:
         return np.asarray(scipy.linalg.block_diag(np.eye(free), V)) if free else V
 
     @cached_property
-    def state_to_displacement(self) -> np.ndarray | None:
+    def state_to_unknowns(self) -> np.ndarray | None:
         """Matrix that converts first-order states to unknowns of the intermediate model.
 
-        The first-order states have the scaled time of :attr:`first_order_response`. The matrix is
-        None if the unknowns also depend directly on the input.
+        In the first-order equations, time is multiplied by the angular frequency at the end of the
+        band. The matrix is None if the unknowns also depend directly on the input.
         """
         pencil, free = (
             self.response.pencil,
@@ -251,8 +251,8 @@ class ReductionTask:
             rows.append(observed.C)
         return np.asarray(scipy.linalg.block_diag(*rows))
 
-    def convert_from_first_order(self, pencil: Pencil) -> Pencil:
-        """Convert a projected first-order model to SI units, and prepend rigid-body modes."""
+    def restore_units_and_rigid_modes(self, pencil: Pencil) -> Pencil:
+        """Restore SI units and rigid-body modes in a projected first-order model."""
         if free := self.response.pencil.free:
             rigid = to_schur_form(self.response.pencil.truncate_to_order(free), self.band[1])
             pencil = pencil.prepend_rigid_body_modes(rigid)
@@ -279,9 +279,9 @@ class ReducedBasis:
     The matrices of the reduced-order model of order q are the leading q x q blocks of the
     ``pencil``. Every reduced model contains the first ``fixed`` unknowns: rigid-body modes, and
     static responses of conservative ports. If ``congruence`` is true, the projection preserves the
-    form of the matrices. ``origin`` is the beginning of the method description in the certificate.
-    ``vectors`` contains the basis vectors as columns, or is None if the basis vectors are unknown.
-    ``coordinates`` names the model in whose unknowns the basis vectors are expressed.
+    form of the matrices. The certificate's description of the method begins with the text
+    ``origin``. ``vectors`` contains the basis vectors as columns, or is None if the basis vectors
+    are unknown. ``coordinates`` names the model in whose unknowns the basis vectors are expressed.
     """
 
     task: ReductionTask
@@ -303,9 +303,10 @@ class ReducedBasis:
 
     @property
     def has_only_real_poles(self) -> bool:
-        """Whether all poles are real because the model is symmetric and of first order.
+        """Whether all poles are real: the model is symmetric, collocated and first-order.
 
-        A congruence preserves the real poles and the passivity of such a model.
+        A congruence preserves the real poles and the passivity of a symmetric, collocated model of
+        first order.
         """
         return self.pencil.degree == 1 and self.pencil.is_symmetric and self.pencil.is_collocated
 
@@ -317,7 +318,7 @@ class ReducedBasis:
 
     @cached_property
     def responses(self) -> dict[int, Response]:
-        """Responses of the reduced models that are already computed, keyed by order."""
+        """Responses computed so far, keyed by the order of the reduced model."""
         return {}
 
     def expand_basis(self, order: int) -> np.ndarray | None:
@@ -333,9 +334,9 @@ class ReducedBasis:
         if self.coordinates == "full order":
             return V
         if self.coordinates == "first order":
-            if task.state_to_displacement is None:
+            if task.state_to_unknowns is None:
                 return None
-            V = task.state_to_displacement @ V
+            V = task.state_to_unknowns @ V
         frame = task.intermediate.basis
         return None if frame is None else np.asarray(frame @ V)
 
@@ -359,7 +360,7 @@ class ReducedBasis:
 
     @cached_property
     def preserves_stability(self) -> bool:
-        """Whether reduced models must be stable, because the intermediate model is stable."""
+        """Whether reduced models must preserve the stability of the intermediate model."""
         return not self.congruence or self.prove_order_stability(self.size).stable is not False
 
     def is_acceptable(self, order: int, tolerance: float) -> bool:

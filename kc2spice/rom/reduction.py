@@ -48,8 +48,8 @@ if TYPE_CHECKING:
     from kc2spice.rom.affine import AffineModel
     from kc2spice.rom.range_reduction import ModelOverRanges
 
-# default of the smallest tolerance; for a tenth of this value, one or two more full-order solutions
-# are needed
+# Default value of the smallest tolerance for which a Reduction computes an intermediate model.
+# The smallest tolerance 1e-7 would need one or two more solutions of the full model than 1e-6.
 DEFAULT_MIN_TOLERANCE = 1e-6
 
 
@@ -63,7 +63,9 @@ if TYPE_CHECKING:
         band: tuple[float | str, float | str] | None = None,
         norm: Norm | None = None,
         solver: DirectSolver | str | None = None,
-    ) -> ModelOverRanges: ...
+    ) -> ModelOverRanges:
+        """Reduce an affine model to a tolerance over the ranges of its parameters."""
+        ...
 
     @overload
     def reduce(
@@ -77,7 +79,9 @@ if TYPE_CHECKING:
         method: str | Reductor | None = None,
         parameters: Mapping[str, Any] | None = None,
         solver: DirectSolver | str | None = None,
-    ) -> LinearModel: ...
+    ) -> LinearModel:
+        """Reduce a linear model to a tolerance or to a number of states."""
+        ...
 
 
 def reduce(
@@ -113,26 +117,29 @@ def reduce(
         Number of unknowns of the reduced model. Exactly one of ``tolerance`` and ``order`` is
         required.
     band : tuple of two floats or strings, optional
-        Lowest and highest frequency in Hz, or as strings such as ``"20 kHz"``. The default is the
-        band of the model. If the model has no band, the band ends a little above the fifth natural
-        frequency.
+        Lowest and highest frequency in Hz, or as strings such as ``"20 kHz"``. The default of
+        ``band`` is the band of the model. If the model has no band, the band ends a little above
+        the fifth natural frequency.
     norm : "pointwise" or "peak", optional
         Divisor of the error of each response entry: the size of the entry at the same frequency
         (``"pointwise"``), or the largest size of the entry in the band (``"peak"``). The default is
         ``"peak"`` for models whose ports are all signals, and ``"pointwise"`` for all other models.
     contact : bool, default False
         Whether the reduced model also represents responses above the band, which contacts excite.
-        The models of scenes represent such responses.
+        Bodies of scenes are always reduced with ``contact=True``.
     method : str or Reductor, optional
         Method of reduction: ``"response POD"``, ``"response POD of both sides"``,
         ``"balanced truncation"``, ``"balanced truncation of outputs as they are"``,
         ``"balanced truncation over the band"``, ``"balanced truncation by congruence"``,
         ``"block Krylov"``, ``"rational Krylov"``, ``"IRKA"``, or a method that is registered by
-        :func:`kc2spice.register_reductor`. By default, response POD and the variants of balanced
-        truncation that suit the model are tried.
+        :func:`kc2spice.register_reductor`. The method
+        ``"balanced truncation of outputs as they are"`` does not scale inputs and outputs by the
+        peaks of the response. By default, response POD and the variants of balanced truncation that
+        suit the model are tried.
     parameters : mapping, optional
-        Must be empty. The parameters of a model are stated in a :class:`kc2spice.AffineModel`, or
-        in the key ``rom.parameters`` of a body of a scene.
+        Leave this argument out; any entry raises a UsageError, which explains where to state
+        parameters. The parameters of a model are stated in a :class:`kc2spice.AffineModel`, or in
+        the key ``rom.parameters`` of a body of a scene.
     solver : callable or "pardiso", optional
         Direct solver that replaces CHOLMOD and SuperLU. ``solver(matrix)`` factorises a sparse
         matrix. As for ``scipy.sparse.linalg.splu``, the returned object must have a method
@@ -204,7 +211,7 @@ def reduce(
         )
         if tolerance is None:
             raise UsageError(
-                "the tolerance is missing, which a model with parameters needs",
+                "a model with parameters needs a tolerance",
                 where="tolerance",
                 expected="a relative error between 0 and 1",
                 hint="add tolerance=1e-4",
@@ -229,19 +236,19 @@ def _reject_unused_options(**options: object) -> None:
     for name, value in options.items():
         if value is not None:
             raise UsageError(
-                "this argument does not apply to a model with parameters",
+                f"the argument {name} does not apply to a model with parameters",
                 where=name,
                 got=value,
-                expected="a model without parameters, or a tolerance without this argument",
+                expected="only the arguments tolerance, band, norm and solver",
                 hint=f"leave {name} out",
             )
 
 
 class Reduction:
-    """Several reductions of one full-order model over the same band.
+    """Reduction of a full-order model to any number of tolerances or orders.
 
     The full-order model is factorised and solved only once. The solutions of the full-order model
-    are accurate enough for reduced models with an error of at least ``tolerance``. If
+    are reused for every reduction whose tolerance is at least the argument ``tolerance``. If
     :meth:`reduce` is called with a smaller tolerance, the full-order model is solved again.
 
     Parameters
@@ -249,9 +256,9 @@ class Reduction:
     model : LinearModel
         Full-order model of n unknowns, in SI units, without structural damping.
     band : tuple of two floats or strings, optional
-        Lowest and highest frequency in Hz, or as strings such as ``"20 kHz"``. The default is the
-        band of the model. If the model has no band, the band ends a little above the fifth natural
-        frequency.
+        Lowest and highest frequency in Hz, or as strings such as ``"20 kHz"``. The default of
+        ``band`` is the band of the model. If the model has no band, the band ends a little above
+        the fifth natural frequency.
     norm : "pointwise" or "peak", optional
         Divisor of the relative error, as for :func:`kc2spice.reduce`.
     tolerance : float, default 1e-6
@@ -312,9 +319,9 @@ class Reduction:
             method = RationalKrylov(points)
         if model.structural:
             raise UsageError(
-                "a model with structural damping cannot be projected on a basis",
+                "kc.Reduction does not apply to a model with structural damping",
                 where=model.name,
-                hint="use kc.reduce(model, tolerance=...), which finds the nearest causal model",
+                hint="use kc.reduce(model, tolerance=1e-4)",
             )
         self._target = ReductionTarget(
             tolerance, None, None, norm or choose_default_norm(model), False, method, exact=False
@@ -328,7 +335,7 @@ class Reduction:
         self._compute_intermediate(self._target)
 
     def _compute_intermediate(self, target: ReductionTarget) -> None:
-        """Compute and store an intermediate model for the tolerance of ``target``."""
+        """Compute and store an intermediate model for the tolerance ``target.tolerance``."""
         assert target.tolerance is not None
         with use_solver(self._solver):
             self._intermediate, self._proof = compute_first_step(self._pencil, self.band, target)
@@ -363,9 +370,9 @@ class Reduction:
     def hankel(self) -> np.ndarray:
         """Hankel singular values of the intermediate model, in descending order.
 
-        Balanced truncation to order q has an error of at most ``2 * sum(hankel[q:])``. The error in
-        this bound is the largest singular value of the difference of the responses at any
-        frequency.
+        Balanced truncation to order q has an error of at most ``2 * sum(hankel[q:])``. At every
+        frequency, ``2 * sum(hankel[q:])`` is an upper bound of the largest singular value of the
+        difference between the intermediate response and the response of order q.
 
         Raises
         ------
@@ -396,9 +403,10 @@ class Reduction:
             Largest permitted relative error over the band.
         order : int, optional
             Number of unknowns of the reduced model. Exactly one of ``tolerance`` and ``order`` is
-            required. Unlike :func:`kc2spice.reduce`, :meth:`reduce` tries all congruences for an
-            ``order``. A reduction to a ``tolerance`` improves the basis, and may therefore be more
-            accurate at the same order.
+            required. If ``order`` is given, this method compares all congruences, but
+            :func:`kc2spice.reduce` uses only block Arnoldi for definite models. A reduction to a
+            ``tolerance`` improves the basis. It may therefore be more accurate than a reduction to
+            a prescribed ``order`` with the same number of unknowns.
         method : str or Reductor, optional
             Method for the returned model, by default the method of the object.
 

@@ -6,16 +6,17 @@ matrices. At many points of the ranges, this module computes the modes of the de
 frequency a little above the band. Ritz vectors, which are orthogonal to these modes, represent the
 remaining response to loads at the ports.
 
-Modes whose frequencies are close to each other anywhere in the ranges form a block. The frame of a
-block is a basis of the modes of the block. The frame is the basis that is nearest to the frame in
-the middle of the ranges, and therefore rotates smoothly with the parameters. As a consequence, the
-coefficients do not jump if natural frequencies cross or repel each other. Modes outside of blocks
-are separate resonators. The stiffness of a block is ``L L'`` with a Cholesky factor L. Polynomials
-approximate the logarithms of three quantities: the diagonal of L, the diagonal of the Cholesky
-factor of the clamped capacitances, and the damping. Stiffness, damping and clamped capacitances are
-therefore positive everywhere in the ranges, which proves that the model is passive. Sources: P. H.
-Schoenemann, Psychometrika 31 (1966) 1 (nearest frame); T. Kato, Perturbation Theory for Linear
-Operators, II.4 (invariant subspaces are analytic as long as a gap separates them).
+Modes whose frequencies are close to each other anywhere in the ranges form a block. A block is
+represented by a basis of its modes. Of all bases of the modes of a block, the module uses the basis
+that is nearest to the basis in the middle of the ranges. The basis therefore rotates smoothly with
+the parameters, and the coefficients do not jump if natural frequencies cross or repel each other.
+Modes outside of blocks are separate resonators. The stiffness of a block is ``L L'`` with a
+Cholesky factor L. Polynomials approximate the logarithms of three quantities: the diagonal of L,
+the diagonal of the Cholesky factor of the clamped capacitances, and the damping. Stiffness, damping
+and clamped capacitances are therefore positive everywhere in the ranges, which proves that the
+model is passive. Sources: P. H. Schoenemann, Psychometrika 31 (1966) 1 (nearest basis); T. Kato,
+Perturbation Theory for Linear Operators, II.4 (invariant subspaces are analytic as long as a gap
+separates them).
 
 If a port moves a body without a support, the port excites rigid-body modes. The stiffness of a
 rigid-body mode is zero and has no logarithm. Therefore, the rigid-body modes get a soft support
@@ -55,39 +56,43 @@ from kc2spice.rom.response import Response
 from kc2spice.rom.soft_support import SOFT_SUPPORT, SOFT_SUPPORT_RATIO, ZERO_FREQUENCY_RATIO
 from kc2spice.rom.stability import prove_stability
 
-# ratio of frequency to the end of the band below which all modes are retained
+# All modes below this multiple of the highest frequency of the band are retained.
 MODE_BAND_RATIO = 1.2
 # Largest number of additional modes above MODE_BAND_RATIO times the end of the band.
 # The highest retained mode is the mode below the widest gap between natural frequencies.
 EXTRA_MODES = 8
-# largest gain of a mode at a port that counts as zero, relative to the largest gain at the port
+# A mode's gain at a port counts as zero up to this fraction of the largest gain at the port.
 ZERO_GAIN = 1e-9
 # number of grid points per axis, keyed by number of axes
 GRID_POINTS = {0: 1, 1: 33, 2: 13, 3: 7, 4: 5}
 # highest total degree of the polynomials, keyed by number of axes
 MAX_DEGREES = {0: 0, 1: 16, 2: 10, 3: 6, 4: 4}
-# Values of the gap between blocks that are tried one after another. Modes form one block if the
-# logarithms of their squared frequencies differ by less than the gap.
+# Gaps between two blocks of modes, as differences of log(squared frequency); tried in this order.
+# Adjacent modes form one block if log(squared frequency) differs by less than the gap.
 MODE_GAPS = 0.03, 0.1, 0.3, 0.8, np.inf
 # Largest number of blocks of Ritz vectors.
 # The blocks are the static responses and their derivatives with respect to the squared frequency.
 KRYLOV_BLOCKS = 4
-# smallest overlap of the frame of a block with the frame in the middle of the ranges
+# smallest accepted overlap of a block's mode shapes with its shapes in the middle of the ranges
 MIN_OVERLAP = 0.2
 CHECK_POINTS = 16  # number of random points in the ranges for error estimates of the fit
-SUBSPACE_SHARE = 0.3  # share of the tolerance for the error of the subspace
-# largest gain of a rigid-body mode at a port that counts as zero, relative to the port's largest
-# gain
+# largest accepted error of the subspace of modes and Ritz vectors, divided by the tolerance
+SUBSPACE_SHARE = 0.3
+# A rigid-body mode's gain at a port counts as zero up to this fraction of the port's largest gain.
 RIGID_ROUNDING = 1e-6
-# assumed ratio of squared frequencies between the highest mode of the dense model and the next mode
+# assumed squared frequency of the first mode above the dense model, divided by the squared
+# frequency of the highest mode of the dense model
 LAST_GAP = 8.0
-# smallest increase of the gap, on a logarithmic scale, that justifies one more retained mode
+# The number n of retained modes maximises log(w_omitted^2 / w_retained^2) - n MIN_GAP_GAIN.
+# w_omitted is the frequency of the first omitted mode, and w_retained of the last retained mode.
 MIN_GAP_GAIN = 0.02
 # largest squared norm of a dependent Ritz vector, relative to the largest squared norm
 DEPENDENT_VECTOR = 1e-9
-# number of full models at random points that only check the result; one more is at a corner
+# number of full models at random points of the ranges that check the resonators; one additional
+# full model at a corner of the ranges also checks the resonators
 FULL_CHECKS = 4
-RESONATOR_SHARE = 0.4  # share of the tolerance for the difference of resonators and dense model
+# permitted difference between the resonators and the dense model, relative to the tolerance
+RESONATOR_SHARE = 0.4
 SAFETY_FACTOR = 1.5  # safety factor of errors that are computed at points of the ranges
 COEFFICIENT_RESOLUTION = 1e-3  # resolution of rounded coefficients, relative to tolerance
 # Additional factor of the resolution of coefficients for models with several ports, because large
@@ -103,13 +108,16 @@ class ResonatorsOverRanges(ParameterPolynomials, ModelOverRanges):
     values of the parameters, the vector ``T`` (terms,) contains products of polynomials of the
     parameters. The fields contain coefficients of these products:
 
-    * ``exp(T diagonal)`` (q,) is the diagonal of L. ``T below`` (q, q) contains the entries of L
-      below the diagonal, in blocks of the sizes ``blocks``.
-    * ``T gain`` (q, ports) is g.
-    * ``exp(T capacitance)`` is the diagonal of the Cholesky factor of D at the electrical ports.
-      ``T shared`` contains the other entries of this factor.
-    * ``exp(T rayleigh)`` (2,), multiplied by the powers of ``losses``, is alpha and beta. If the
-      corresponding item of ``damped`` is false, alpha or beta is zero.
+    * The diagonal of L, of shape (q,), is ``exp(T @ diagonal)``. The product ``T @ below``, of
+      shape (q, q), contains the entries of L below the diagonal, in blocks of the sizes ``blocks``.
+    * The product ``T @ gain``, of shape (q, ports), is the matrix g.
+    * The diagonal of the Cholesky factor of D at the electrical ports is ``exp(T @ capacitance)``.
+      The product ``T @ shared`` contains the entries of the Cholesky factor of D that are not on
+      its diagonal.
+    * The two entries of ``exp(T @ rayleigh)`` are alpha and beta for damping parameters in the
+      middle of their ranges. Alpha and beta are then multiplied by powers of the damping
+      parameters, which ``losses`` lists. If the corresponding item of ``damped`` is false, alpha or
+      beta is zero.
     * ``facts`` contains the coefficients of polynomials for the characteristic values of the model.
     """
 
@@ -161,10 +169,11 @@ def reduce_over_ranges(task: RangeTask) -> ResonatorsOverRanges:
     """Reduce the full models of a task to resonators over the parameter ranges.
 
     The certificate is valid for all values in the ranges. The error in the certificate is the
-    largest relative difference between the resonators and other models, in the norm of the task,
-    times :data:`SAFETY_FACTOR`. At :data:`FULL_CHECKS` points and at a corner of the ranges, the
-    other models are full models that the reduction does not use. At further points, the other model
-    is the dense model. The result contains the ``facts`` of the full models.
+    largest relative difference between the resonators and more accurate models, in the norm of the
+    task, times :data:`SAFETY_FACTOR`. At :data:`FULL_CHECKS` random points and at one corner of the
+    parameter ranges, the resonators are compared with full models that the reduction does not use.
+    At further points of the ranges, the resonators are compared with the dense parametric model
+    that they replace. The result contains the ``facts`` of the full models.
 
     Raises
     ------
@@ -180,9 +189,9 @@ def reduce_over_ranges(task: RangeTask) -> ResonatorsOverRanges:
         model = full(values)
         if model.rayleigh is None:
             raise UsageError(
-                "a model with parameters needs damping in proportion to mass and stiffness",
+                "a model with parameters needs one Rayleigh damping for the whole body",
                 where=model.name,
-                expected="the same damping for all materials of the body",
+                expected="Rayleigh damping with the same alpha and beta for all materials",
             )
         return model
 
@@ -201,8 +210,8 @@ def _reduce_and_check(task: RangeTask) -> tuple[ResonatorsOverRanges, float]:
 
     The error estimate is :data:`SAFETY_FACTOR` times the largest relative difference from full
     models. If this error is too large, the reduction is repeated with more full models and
-    polynomials of a higher degree. The results of each degree are compared with different full
-    models.
+    polynomials of a higher degree. For each polynomial degree, the resonators are compared with
+    full models at new random points, which the fit has not used.
     """
     axes, band, tolerance = task.axes, task.band, task.tolerance
     sobol = scipy.stats.qmc.Sobol(len(axes), seed=11)
@@ -259,9 +268,10 @@ def interpolate_model_facts(
 ) -> dict[str, np.ndarray]:
     """Fit polynomials in the parameters to numbers such as the mass of a full model.
 
-    The number of full models limits the degree of the polynomials. The numbers, such as masses, are
-    the ``facts`` of each model. The result contains coefficients (terms,) of each fact, for the
-    products of polynomials with ``exponents`` (terms, axes).
+    The number of full models limits the degree of the polynomials. The attribute ``facts`` of each
+    full model contains the numbers to which polynomials are fitted. The result contains
+    coefficients (terms,) of each fact, for the products of polynomials with ``exponents`` (terms,
+    axes).
     """
     x = [[axis.compute_coordinate(values[axis.name]) for axis in axes] for values, _ in known]
     total = exponents.sum(axis=1, initial=0)
@@ -334,9 +344,9 @@ def make_range_error(problem: str, name: str, got: str, tolerance: float) -> Sim
 def _compute_values_at(
     parameter_axes: Mapping[str, ParameterAxis], x: np.ndarray
 ) -> dict[str, float]:
-    """Convert coordinates ``x`` to parameter values, with middle values for the rest.
+    """Convert coordinates ``x`` to parameter values, keyed by parameter.
 
-    Each other parameter has the value in the middle of its range.
+    A parameter without a coordinate in ``x`` has the value in the middle of its range.
     """
     known = {
         axis.name: axis.value(float(v)) for axis, v in zip(parameter_axes.values(), x, strict=False)
@@ -406,11 +416,11 @@ class _ModesOverRanges:
         self.count = int(counts[np.argmax(gaps - MIN_GAP_GAIN * np.arange(len(counts)))])
 
     def compute_elastic_modes(self, x: np.ndarray) -> _DenseModes:
-        """Return the modes at coordinates ``x``, without unsupported rigid-body modes."""
+        """Compute elastic modes at parameters ``x``; remove or support rigid-body modes."""
         return self._isolate_elastic_modes(self._compute_all_modes(x))
 
     def _compute_all_modes(self, x: np.ndarray) -> _DenseModes:
-        """Return all modes of the dense model at coordinates ``x`` of the axes."""
+        """Return all modes of the dense model at normalised parameter values ``x``."""
         model = self.dense_model.evaluate(_compute_values_at(self.dense_model.parameter_axes, x))
         return _DenseModes(model, *scipy.linalg.eigh(model.K, model.M))
 
@@ -461,7 +471,7 @@ class _ReducedSpace:
         self._blocks_by_range: dict[tuple[int, int], tuple[np.ndarray, np.ndarray] | None] = {}
 
     def _project_responses(self, p: _DenseModes) -> np.ndarray:
-        """Project responses to port loads on the modes that are not retained."""
+        """Project the port-load responses onto the modes that are not retained."""
         k = self.modes.count
         load, share = p.V[:, k:].T @ p.model.B, self.unit / (p.w2[k:, None] - self.shift)
         return np.hstack([share**j * load for j in range(1, self.moments + 1)])
@@ -482,12 +492,13 @@ class _ReducedSpace:
         return replace(p.model, M=np.eye(len(w2)), K=np.diag(w2), B=B, C=B.T)
 
     def _make_block(self, a: int, b: int) -> tuple[np.ndarray, np.ndarray] | None:
-        """Return stiffness and gain of a block of modes at all grid points, or None.
+        """Return stiffness and gain of a block of modes; None if the modes vary too much.
 
         The block contains the modes a to b - 1. The result consists of the stiffness (points, n, n)
-        and the gain (points, n, ports) of the block. At each point, the frame of the block is the
-        frame that is nearest to the frame in the middle of the ranges. The result is None if any
-        frame differs too much from the frame in the middle.
+        and the gain (points, n, ports) of the block at all grid points. At each grid point, the
+        mode shapes of a block are rotated to the directions nearest to the mode shapes in the
+        middle of the ranges. The result is None if the mode shapes at a grid point overlap too
+        little with the mode shapes in the middle of the ranges.
         """
         if (a, b) not in self._blocks_by_range:
             M, first, rows = self.modes.points[0].model.M, self.Z[0][:, a:b], []

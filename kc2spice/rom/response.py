@@ -10,14 +10,14 @@ import numpy as np
 import scipy
 
 from kc2spice.core.errors import SimulationError
-from kc2spice.rom.entry_scales import EntryScales
 from kc2spice.rom.pencil import (
     INFINITE_POLE_RATIO,
     Pencil,
     convert_to_first_order,
     find_largest_entry,
 )
-from kc2spice.rom.rigid_body import select_rigid_body_part
+from kc2spice.rom.rigid_body import select_rigid_body_pencil
+from kc2spice.rom.transfer_function_error_scales import EntryScales
 
 # largest rounding error of a sum of terms that cancel, relative to the sum of their absolute values
 CANCELLATION_ROUNDING = 1e-13
@@ -25,12 +25,14 @@ CANCELLATION_ROUNDING = 1e-13
 COUPLING_ROUNDING = 1e-9
 # Smallest damping ratio of a resonance whose peak can be sampled.
 # Below this damping ratio, no floating-point frequency is close enough to the peak.
-# Errors of such resonances are computed beside the peak, at the relative distance FLANK_DISTANCE.
+# At resonances with damping ratios below MIN_DAMPING_RATIO, errors are computed beside the peak, at
+# the relative distance FLANK_DISTANCE from the peak.
 MIN_DAMPING_RATIO = 1e-7
 FLANK_DISTANCE = 1e-4
 # smallest contribution of a visible pole to an entry of the response, relative to the entry
 MIN_VISIBLE_TERM = 1e-10
-VISIBLE_GRID = 50  # number of frequencies at which the peaks of entries are determined
+# number of grid frequencies at which the largest magnitude of each response entry is determined
+VISIBLE_GRID = 50
 # distances of sample frequencies from a resonance, in half-widths of the resonance
 RESONANCE_OFFSETS = np.array([0.0, 0.25, 0.5, 1.0, 2.0, 5.0, 15.0, 60.0])
 # number of frequencies in the linear grid and in the logarithmic grid of a band; found by trials
@@ -42,7 +44,8 @@ DECOUPLING_TOLERANCE = 1e-10  # largest relative difference between decoupled an
 # ratio of successive squared frequencies above which the lower mode is a rigid-body mode
 RIGID_MODE_RATIO = 1e8
 # Largest condition number of the eigenvectors with which a model is decoupled.
-# Eigenvectors of an unsupported body do not span all states, so their condition number is larger.
+# An unsupported body has fewer independent eigenvectors than states.
+# The computed eigenvectors of an unsupported body have a condition number above MAX_CONDITION.
 MAX_CONDITION = 1e10
 Modes: TypeAlias = tuple[np.ndarray, np.ndarray, tuple[np.ndarray, ...]]
 
@@ -51,13 +54,15 @@ class Response:
     """Frequency response of a dense pencil, in decoupled coordinates if possible.
 
     In decoupled coordinates, the matrices of the pencil are diagonal. Decoupled coordinates are
-    used only if they are well-conditioned. With ``modes = (T, L, diagonals)``, the unknowns are ``x
-    = T diag(1 / sum_k s^k diagonals_k) L B``. ``modes`` is None if there are no decoupled
-    coordinates. If :attr:`has_decoupling_congruence` is true, T is a real congruence (``L = T'``).
-    If rigid-body modes are not coupled to other unknowns, they are solved separately. The pencil
-    ``core`` then contains only the other unknowns. If rigid-body modes are coupled or absent,
-    ``core`` is the whole pencil. ``zero`` (outputs, inputs) is a mask of the entries that are known
-    to be zero by symmetry.
+    used only if they are well-conditioned. ``modes = (T, L, diagonals)`` contains matrices T and L
+    for which all products ``L P_k T`` are diagonal, where ``P_k`` is the pencil's coefficient of
+    ``s^k``. The diagonal of ``L P_k T`` is ``diagonals_k``, and the unknowns are ``x = T diag(1 /
+    sum_k s^k diagonals_k) L B``. ``modes`` is None if there are no decoupled coordinates. If
+    :attr:`has_decoupling_congruence` is true, T is a real congruence (``L = T'``). If rigid-body
+    modes are not coupled to other unknowns, they are solved separately. The pencil ``core`` then
+    contains only the other unknowns. If rigid-body modes are coupled or absent, ``core`` is the
+    whole pencil. ``zero`` (outputs, inputs) is a mask of the entries that are known to be zero by
+    symmetry.
     """
 
     def __init__(
@@ -77,7 +82,10 @@ class Response:
 
     @cached_property
     def _decoupling(self) -> Modes | None:
-        """Modes that are prescribed or that decouple the pencil by a congruence, or None."""
+        """Modes that decouple the pencil, or None if no congruence decouples it.
+
+        If the constructor has received modes, these modes are returned without a computation.
+        """
         return self._prescribed_modes or _diagonalise_pencil(self.core)
 
     @cached_property
@@ -96,7 +104,7 @@ class Response:
 
     @property
     def is_decoupled(self) -> bool:
-        """Whether decoupled coordinates exist, or the model is too small to need them."""
+        """Whether the unknowns are decoupled, or so few that decoupling saves no time."""
         return self.modes is not None or self.core.size <= MIN_UNKNOWNS
 
     def states(self, s: np.ndarray) -> np.ndarray:
@@ -145,7 +153,7 @@ class Response:
         The result has the shape (outputs, inputs). The rigid-body motion is omitted, because its
         response grows without bound as the frequency approaches zero.
         """
-        free = select_rigid_body_part(self.pencil, 2 * np.pi * frequency.max())
+        free = select_rigid_body_pencil(self.pencil, 2 * np.pi * frequency.max())
         if free is not None:
             H = H - (free.transfer(2j * np.pi * frequency) - free.D)
         return np.asarray(np.abs(H).max(axis=0))
@@ -214,9 +222,9 @@ class Response:
     def select_visible_resonances(self, band: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
         """Return frequencies [Hz] and damping ratios of visible resonances in the band.
 
-        An invisible resonance has no peak in any entry of the response. The mode of an invisible
-        resonance is not excited by any input, or not measured by any output. The mode may also be a
-        rigid-body mode whose stiffness is a rounding error.
+        A resonance is visible if its mode contributes significantly to at least one entry of the
+        response. The mode of an invisible resonance is not excited by any input, or not measured by
+        any output. The mode may also be a rigid-body mode whose stiffness is a rounding error.
         """
         frequency, ratio, mode = self._oscillating_poles
         inside = _mask_inside_band(frequency, band)
@@ -248,7 +256,7 @@ class DirectResponse(Response):
 
     @cached_property
     def _decoupling(self) -> Modes | None:
-        """None: this response never uses decoupled coordinates."""
+        """Modes that decouple the pencil: None, because each frequency is solved directly."""
         return None
 
 

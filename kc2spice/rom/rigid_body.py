@@ -1,8 +1,9 @@
 """Rigid-body modes of a model, and their exact separation from all other unknowns.
 
-In this module, rigid-body modes include integrators. The response of rigid-body modes grows without
-bound as the frequency approaches zero. The stiffness of rigid-body modes is set to exactly zero.
-Reduction bases and response peaks exclude rigid-body modes.
+In this module, the term *rigid-body mode* includes all integrators, which are modes with a pole at
+zero. The response of rigid-body modes grows without bound as the frequency approaches zero. The
+stiffness of rigid-body modes is set to exactly zero. Reduction bases and response peaks exclude
+rigid-body modes.
 """
 
 from __future__ import annotations
@@ -25,37 +26,41 @@ from kc2spice.rom.pencil import (
     is_symmetric,
 )
 
-# Bound of the rounding error of a matrix entry, relative to ``n eps`` times the entry. Stiffness,
+# Bound of the rounding error of a matrix entry, relative to ``n * eps`` times the entry. Stiffness,
 # damping and coupling below the bounds of their rounding errors count as zero.
 ROUNDING_FACTOR = 8.0
-# Largest magnitude of a pole that counts as zero, relative to the end of the band.
+# A pole counts as zero if its magnitude is at most this fraction of the end of the band.
 # The relative rounding error of a double pole is about the square root of eps.
 ZERO_POLE_RATIO = 1e-6
-# largest slow real pole of a damped rigid-body mode, relative to the end of the band
+# A real pole below this fraction of the upper band limit belongs to a damped rigid-body mode.
 SLOW_POLE_RATIO = 1e-2
 # largest energy that counts as a rounding error, relative to the effect of random rounding on the
 # energy
 ENERGY_FACTOR = 30.0
-ENERGY_MARGIN = 4.0  # safety factor of the change of an energy due to random rounding
-# ratio of frequency to resonance frequency of a support at which the support changes the response
-# by 1e-4
+# A mode counts as supported if its elastic energy exceeds ENERGY_MARGIN times the random rounding
+# error of this energy.
+ENERGY_MARGIN = 4.0
+# At SUPPORT_RATIO times the resonance frequency of a support, the support changes the response by
+# 1e-4.
 SUPPORT_RATIO = 100.0
-# factor above the limit for singular matrices at which a matrix counts as regular
+# A matrix counts as regular if its reciprocal condition number exceeds REGULAR_FACTOR times its
+# relative rounding error.
 REGULAR_FACTOR = 10.0
-# largest rate of a chain of integrators due to rounding errors, relative to the end of the band
+# In chains of integrators, a singular value of the state matrix counts as zero up to
+# CHAIN_RATE_RATIO times the angular frequency at the end of the band.
 CHAIN_RATE_RATIO = 1e-9
 # bounds of the rounding errors of all entries, one array for each coefficient of a pencil
 Rounding: TypeAlias = tuple[np.ndarray, ...]
 
 
 class RigidBodySplit(NamedTuple):
-    """Pencil whose first unknowns are its rigid-body modes, and the transformation.
+    """Split of a pencil into rigid-body modes and other coordinates, with the basis.
 
     The first ``pencil.free`` unknowns of ``pencil`` are rigid-body modes. ``columns`` contains the
     basis vectors of all coordinates, expressed in the original unknowns. If ``static`` is true, the
     other coordinates have a static response. ``projected`` is the pencil with its rounding errors,
-    before these errors are set to zero. If the form of the matrices is not preserved, ``projected``
-    is None.
+    before these errors are set to zero. If no congruence separates the rigid-body modes,
+    ``projected`` is None.
     """
 
     pencil: Pencil
@@ -113,15 +118,15 @@ def split_driven_modes(pencil: Pencil, free: int, rounding: Rounding) -> RigidBo
 def _split_congruently(
     pencil: Pencil, X: np.ndarray, others: np.ndarray, rounding: Rounding
 ) -> RigidBodySplit:
-    """Transform a pencil to driven rigid-body modes in X, followed by ``others``."""
+    """Split a pencil by a congruence: driven rigid-body modes first, then ``others``."""
     X = _select_driven_modes(pencil, X, rounding)
     V = np.hstack([X, others])
     result, projected = project_with_rigid_body(pencil, V, X.shape[1], rounding)
     return RigidBodySplit(result, V, True, projected)
 
 
-def select_rigid_body_part(pencil: Pencil, omega: float) -> Pencil | None:
-    """Return the pencil of the rigid-body modes, or None without rigid-body modes."""
+def select_rigid_body_pencil(pencil: Pencil, omega: float) -> Pencil | None:
+    """Select the pencil of the rigid-body modes, or return None if there are none."""
     if pencil.free and not pencil.has_uncoupled_rigid_modes:
         pencil = _project_obliquely(convert_to_first_order(pencil, omega), omega)[0]
     return pencil.truncate_to_order(pencil.free) if pencil.free else None
@@ -161,7 +166,7 @@ def _select_zero_energy_motions(
 
     X has the shape (n, motions). By default, the rounding error of the energy is estimated for
     random rounding of the entries of K. If ``rounding`` contains bounds of the rounding errors of
-    the entries, the bounds are used instead.
+    the entries of K, the bounds determine the rounding error of the energy.
     """
     if not X.size or not is_symmetric(K):
         return X
@@ -180,7 +185,7 @@ def estimate_energy_rounding(P: Matrix, V: np.ndarray) -> np.ndarray:
     """Estimate the errors (k, k) of ``V'PV`` due to random rounding of the matrix P.
 
     The rounding errors of the entries of P are independent, so the squares of the effects of all
-    entries add up: ``eps (sum_ij v_ik^2 P_ij^2 v_jl^2)^(1/2)``.
+    entries add up: ``eps * sqrt(sum_ij v_ik^2 P_ij^2 v_jl^2)``.
     """
     squares = V**2
     return np.asarray(
@@ -189,15 +194,15 @@ def estimate_energy_rounding(P: Matrix, V: np.ndarray) -> np.ndarray:
 
 
 def estimate_hidden_frequency(pencil: Pencil, X: np.ndarray, low: float) -> float:
-    """Return the frequency [Hz] below which rounding errors hide a support resonance.
+    """Estimate the frequency [Hz] below which rounding hides a support's resonance.
 
     A support of the rigid-body modes X (n, modes) is hidden if the stiffness of the support is
     within the random rounding errors of K. Without rigid-body modes, the result is zero.
 
-    The reduced model omits the stiffness of the modes X. If the omitted stiffness slightly exceeds
-    the rounding errors, the body has a support whose stiffness is inaccurate. The function then
-    warns, unless ``low`` [Hz], the lower end of the band, is far above the resonance of the
-    support.
+    The reduced model omits the stiffness of the modes X. If the stiffness of a rigid-body mode
+    slightly exceeds the rounding errors of K, the body has a soft support that the reduced model
+    neglects. The function then warns, unless ``low`` [Hz], the lower end of the band, is far above
+    the resonance of the support.
     """
     K, M = pencil.coefficients[0], pencil.coefficients[-1]
     if (
@@ -264,7 +269,7 @@ def project_with_rigid_body(
     """Project a dense pencil on V, whose first ``free`` columns are rigid-body modes.
 
     In the first result, entries of ``V'PV`` that are only rounding errors are set to zero. The
-    second result is ``V'PV`` with unchanged entries.
+    second result is ``V'PV`` with all entries as computed, including rounding errors.
     """
     result, parts = pencil.project_exactly(V), []
     for P, noise in zip(result.coefficients, rounding or _bound_rounding(pencil), strict=True):
@@ -280,8 +285,8 @@ def _project_obliquely(pencil: Pencil, omega: float) -> tuple[Pencil, np.ndarray
     """Separate the poles near zero by right and left invariant subspaces.
 
     Return a pencil whose first unknowns belong to the poles near zero, and the basis of the pencil.
-    The rates of integrators among these first unknowns are exactly zero. If the separation is not
-    possible, the pencil is returned unchanged.
+    Poles that belong to integrators are exactly zero in the returned pencil. If the separation is
+    not possible, the pencil is returned unchanged.
     """
     rest, inertia = pencil.coefficients
     try:
@@ -328,10 +333,11 @@ def _find_slow_subspace(rest: np.ndarray, inertia: np.ndarray, omega: float) -> 
 
 
 def _order_chains(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rotate A to block triangular form ``Q'AQ`` that orders chains of integrators.
+    """Return ``Q'AQ`` and Q; the rotation Q orders the chains of integrators in A.
 
-    The coordinates form chains of integrators. The first coordinates are constant. The rates of all
-    other coordinates depend only on coordinates that come earlier in the chain.
+    ``Q'AQ`` is block triangular. The coordinates form chains of integrators. The first coordinates
+    span the null space of A, and a state in the null space of A is constant in time. The rate of
+    each coordinate of a chain depends only on coordinates with a higher index.
     """
     A, Q, start = A.copy(), np.eye(len(A)), 0
     while start < len(A):

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from kc2spice.rom.entry_scales import EntryScales
 from kc2spice.rom.error_estimate import compute_relative_errors
 from kc2spice.rom.intermediate_model import IntermediateModel
 from kc2spice.rom.pencil import Pencil, compute_absolute_entries
@@ -19,6 +18,7 @@ from kc2spice.rom.response import (
     make_frequency_grid,
     sample_resonances,
 )
+from kc2spice.rom.transfer_function_error_scales import EntryScales
 
 # smallest relative change of a response due to rounding errors that the certificate mentions
 STATED_UNCERTAINTY = 1e-9
@@ -31,8 +31,8 @@ ZERO_SHARE = 0.5  # share of the tested frequencies at which a zero entry must b
 # evaluated
 CHECKED_RESONANCES = 8
 RANDOM_TRIALS = 4  # largest number of trials with random units of the unknowns
-# Ratio of the effect of rounding to the target error below which the effect is negligible. The
-# effects of rounding in different trials differ by a factor of less than 10.
+# An effect of rounding is negligible if it is below NEGLIGIBLE_SHARE times the target error.
+# The effects of rounding in different trials differ by a factor of less than 10.
 NEGLIGIBLE_SHARE = 0.01
 TRIAL_FACTOR = 3.0  # safety factor for the largest change in RANDOM_TRIALS trials
 
@@ -88,8 +88,9 @@ def find_zero_entries(
     """Return a mask (outputs, inputs) of response entries that are zero by symmetry.
 
     ``response`` is the response of the projection on V. In the response of the projection, an entry
-    that is zero by symmetry is negligible at nearly all frequencies of the band. The entry may be
-    as large as a rounding error at sharp resonances of modes with equal frequencies.
+    that is zero by symmetry is negligible at nearly all frequencies of the band. At sharp
+    resonances of modes with equal frequencies, an entry that is zero by symmetry may contain a
+    large rounding error; the mask still includes the entry.
     """
     at, ratio = response.select_visible_resonances(band)
     chosen = np.union1d(np.argsort(at)[:CHECKED_RESONANCES], np.argsort(ratio)[:CHECKED_RESONANCES])
@@ -124,8 +125,9 @@ def find_zero_entries(
 
 
 def describe_uncertainty(at: np.ndarray, size: np.ndarray, tolerance: float) -> str:
-    """Describe for the certificate how rounded matrix entries change the response.
+    """Describe the uncertainty of the response due to rounding of matrix entries.
 
+    The certificate of the reduced model contains the description.
     ``size`` is the relative change of the response at the frequencies ``at`` [Hz]. The description
     is empty if the change is negligible. If the change exceeds ``tolerance``, the function also
     warns.
@@ -134,8 +136,8 @@ def describe_uncertainty(at: np.ndarray, size: np.ndarray, tolerance: float) -> 
     effect = f"changes the response by {size[worst]:.1e} at {at[worst]:.5g} Hz"
     if size[worst] > tolerance:
         warnings.warn(
-            f"rounding of the matrix entries {effect}; the reduction uses the matrices without "
-            f"change",
+            f"rounding of the matrix entries {effect}; the reduction does not correct these "
+            f"rounding errors",
             stacklevel=2,
         )
     return f", and rounding of its matrices {effect}" if size[worst] > STATED_UNCERTAINTY else ""
@@ -164,10 +166,12 @@ def add_rounding_floor(
 
     The attribute ``floor`` of the returned model is the effect of rounding errors. A change of the
     units of the unknowns changes the rounding errors of the full model's matrix entries, but not
-    the exact response. Therefore, the full model in random units is projected on the same basis,
-    and the floor is computed from the change of the response. Thin bodies are sensitive to rounding
-    errors, because their elastic forces are small differences of large forces. The trials end early
-    if the change is negligible relative to ``target``, the required error of the model.
+    the exact response. Therefore, the function multiplies the unknowns of the full model by random
+    factors, and projects the rescaled model on the same basis V. The attribute ``floor`` is
+    computed from the largest change of the response due to the random factors. Thin bodies are
+    sensitive to rounding errors, because their elastic forces are small differences of large
+    forces. The trials end early if the change is negligible relative to ``target``, the required
+    error of the model.
     """
     exact = model.response
     at, ratio = exact.select_visible_resonances(band)

@@ -1,14 +1,15 @@
-"""Passive models of a constant loss factor, with a relaxing stiffness.
+"""Passive models with a nearly constant loss factor, made of springs and dampers.
 
 Structural damping ``K (1 + j eta)`` loses the same share of energy at every frequency. No causal
 model has exactly the stiffness ``K (1 + j eta)``. By the Kramers-Kronig relation, a constant loss
-factor requires a stiffness that increases with frequency (A. K. Jonscher, Nature 267 (1977) 673):
+factor requires a stiffness that increases with frequency. The stiffness is K times the factor
 
-    chi(s) = (s / w0)^m / cos phi,    phi = arctan eta,    m = 2 phi / pi
+    chi(s) = (s / w0)^m / cos phi,    phi = arctan eta,    m = 2 phi / pi.
 
-is the factor of stiffness. This factor equals ``1 + j eta`` at ``s = j w0``. A model of finite
-order approximates the factor. This generalised Maxwell model is a spring in parallel with branches
-of a spring and a damper in series,
+The stiffness factor ``chi(s)`` equals ``1 + j eta`` at ``s = j w0``. Source: A. K. Jonscher, Nature
+267 (1977) 673. A generalised Maxwell model of finite order approximates the stiffness factor
+``chi(s)``. The generalised Maxwell model is a spring in parallel with branches of a spring and a
+damper in series,
 
     chi(s) = c_0 + sum_k c_k s / (s + r_k),    all c_k >= 0.
 
@@ -21,7 +22,8 @@ model with constant matrices represents the stiffness ``K chi``:
     (1 / r_k) K q_k' + K (q_k - sqrt(c_k) x) = 0
 
 :func:`add_structural_damping` adds the inner displacements to a model.
-:mod:`kc2spice.rom.complex_constants` treats piezoelectric bodies with complex material constants.
+:mod:`kc2spice.rom.complex_material_constants` treats piezoelectric bodies with complex material
+constants.
 """
 
 from __future__ import annotations
@@ -38,7 +40,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.rom.linear_model import LinearModel
 
 BAND_EXTENSION = 6.0  # factor by which the relaxation rates extend beyond both ends of the band
-# largest number of decades below the end of the band over which a factor is fitted
+# largest number of decades below the upper band limit over which a stiffness factor is fitted
 DEFAULT_DECADES = 4.0
 POINTS_PER_DECADE = 40  # number of frequencies per decade at which amplitudes are fitted
 # The largest number of relaxations is MAX_PER_DECADE for each decade, plus ADDITIONAL_RELAXATIONS.
@@ -48,7 +50,7 @@ ADDITIONAL_RELAXATIONS = 8
 
 @dataclass(frozen=True, eq=False)
 class RelaxingStiffness(EqualByContent):
-    """Stiffness factor ``constant + sum_k amplitudes_k s / (s + rates_k)``.
+    """Stiffness factor ``constant + sum_k amplitudes_k * s / (s + rates_k)``.
 
     Attributes
     ----------
@@ -57,7 +59,7 @@ class RelaxingStiffness(EqualByContent):
     amplitudes, rates : (k,) arrays
         Amplitudes ``c_k > 0`` and rates ``r_k > 0`` [1/s] of the relaxations.
     error : float
-        Largest relative difference from the target of the fit in the band.
+        Largest relative error of the fitted stiffness factor at frequencies in the band.
     """
 
     constant: float
@@ -76,8 +78,10 @@ class RelaxingStiffness(EqualByContent):
         return float(self.constant + self.amplitudes.sum())
 
 
-def compute_causal_loss_factor(frequency: np.ndarray, loss_factor: float, at: float) -> np.ndarray:
-    """Return the complex stiffness factor of a causal, constant loss factor.
+def compute_causal_stiffness_factor(
+    frequency: np.ndarray, loss_factor: float, at: float
+) -> np.ndarray:
+    """Compute the causal complex stiffness factor for a constant loss factor.
 
     Parameters
     ----------
@@ -90,7 +94,7 @@ def compute_causal_loss_factor(frequency: np.ndarray, loss_factor: float, at: fl
 
     Examples
     --------
-    >>> complex(np.round(compute_causal_loss_factor(2e3, 0.05, 2e3), 12))
+    >>> complex(np.round(compute_causal_stiffness_factor(2e3, 0.05, 2e3), 12))
     (1+0.05j)
     """
     angle = math.atan(loss_factor)
@@ -107,7 +111,7 @@ def fit_relaxing_stiffness(
     sensitivity: Callable[[np.ndarray], np.ndarray] | None = None,
     noncausal: bool = False,
 ) -> RelaxingStiffness:
-    """Fit a relaxing stiffness with the fewest relaxations to a constant loss factor.
+    """Fit a relaxing stiffness to a constant loss factor, with the fewest relaxations.
 
     Parameters
     ----------
@@ -116,19 +120,20 @@ def fit_relaxing_stiffness(
     at : float
         Frequency [Hz] at which the real part of the stiffness is K.
     band : pair of float
-        Ends of the band [Hz]. In a band that begins at zero, the loss factor is constant only above
-        a ten-thousandth of the upper end.
+        Ends of the band [Hz]. If the band begins at zero, the loss factor is constant only at
+        frequencies above 1e-4 times the upper end of the band.
     error : float
-        Largest allowed product of the relative error of the stiffness and ``sensitivity`` in the
-        band.
+        Largest allowed relative error of the response in the band. The error of the response is the
+        relative error of the stiffness, multiplied by ``sensitivity``.
     sensitivity : callable, optional
         Function of frequencies (n,) [Hz] that returns the ratio (n,) of the relative change of the
         response to the relative change of the stiffness. For example, the sensitivity at a
         resonance is the Q factor. The default is 1.
     noncausal : bool
         If true, the target of the fit is ``1 + j eta`` at all frequencies. Otherwise, the target is
-        the result of :func:`compute_causal_loss_factor`. For the target ``1 + j eta`` in the band
-        from f1 to f2, the error of a passive model is at least about ``eta / pi log(f2 / f1)``.
+        the result of :func:`compute_causal_stiffness_factor`. For the target ``1 + j eta`` in the
+        band from f1 to f2, the error of a passive model is at least about
+        ``(eta / pi) * log(f2 / f1)``.
 
     Returns
     -------
@@ -154,7 +159,7 @@ def fit_relaxing_stiffness(
     f = np.geomspace(low, high, int(POINTS_PER_DECADE * decades) + POINTS_PER_DECADE)
     target = np.full(f.size, 1 + 1j * loss_factor)
     if not noncausal:
-        target = compute_causal_loss_factor(f, loss_factor, at)
+        target = compute_causal_stiffness_factor(f, loss_factor, at)
     weight = np.ones(f.size) if sensitivity is None else sensitivity(f)
     best: tuple[float, RelaxingStiffness] | None = None
     for count in range(2, math.ceil(MAX_PER_DECADE * decades) + ADDITIONAL_RELAXATIONS):
@@ -187,7 +192,7 @@ def _fit_amplitudes(
 
 
 def add_structural_damping(model: LinearModel, stiffness: RelaxingStiffness) -> LinearModel:
-    """Add structural damping: multiply the stiffness matrix K by a relaxing factor.
+    """Add structural damping: multiply the stiffness by a frequency-dependent factor.
 
     Parameters
     ----------
@@ -195,14 +200,16 @@ def add_structural_damping(model: LinearModel, stiffness: RelaxingStiffness) -> 
         Small, symmetric second-order model. The result has dense matrices and retains the damping
         of ``model``.
     stiffness : RelaxingStiffness
-        Relaxing factor of K, with k relaxations.
+        Frequency-dependent factor of the stiffness matrix K, with k relaxation terms.
 
     Returns
     -------
     LinearModel
         Symmetric model with ``(1 + k) n`` unknowns: n displacements with mass, and ``k n`` inner
-        displacements. The result has the certificate of ``model``, without the error of
-        ``stiffness``. The caller must add this error, multiplied by the Q factor at resonances.
+        displacements. The result has the certificate of ``model``. The error estimate of the
+        certificate does not include the error of the approximation ``stiffness``. Away from
+        resonances, the caller must add ``stiffness.error`` to the error estimate. At a resonance,
+        the caller must add ``stiffness.error`` times the Q factor to the error estimate.
 
     Raises
     ------
@@ -229,7 +236,11 @@ def add_structural_damping(model: LinearModel, stiffness: RelaxingStiffness) -> 
 
 
 def _make_corner_matrix(inner: int) -> np.ndarray:
-    """Return a matrix (1 + inner, 1 + inner) of zeros, with a one as its first entry."""
+    """Return a matrix with a one in its top left corner and zeros elsewhere.
+
+    The square matrix has one row for a displacement with mass, and ``inner`` rows for the inner
+    displacements of its springs.
+    """
     result = np.zeros((1 + inner, 1 + inner))
     result[0, 0] = 1.0
     return result

@@ -13,8 +13,8 @@ from kc2spice.netlist.deck import (
     make_transient_command,
 )
 from kc2spice.netlist.shared_cards import add_title
-from kc2spice.scene.model import BuiltScene, NameAllocator
 from kc2spice.scene.results import NOISE_WAVE
+from kc2spice.scene.scene_classes import BuiltScene, NameAllocator
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ def make_analysis_cards(build: BuiltScene) -> AnalysisCards:
             make_transient_command(scene.stop_time, step, uic=bool(scene.initial_states))
         )
     if selected.type == "ac":
-        # ngspice computes only the first of two points on a linear scale
+        # ngspice would compute only the first point of a linear scale with two points
         points = 3 if (selected.points, selected.scale) == (2, "linear") else selected.points
         command = make_ac_command(
             selected.start, float(selected.stop or 0.0), points, selected.scale

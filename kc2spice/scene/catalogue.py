@@ -133,7 +133,7 @@ def search_parts(words: str = "") -> list[CataloguePart]:
             "no part matches these words",
             where="parts",
             got=repr(words),
-            expected=f"words of a number, maker or device, such as {', '.join(makers[:5])}",
+            expected=f"a part number, a manufacturer or a device, such as {', '.join(makers[:5])}",
             hint=did_you_mean(words, " ".join(makers).split())
             or "run kc2spice parts, which lists all parts",
         )

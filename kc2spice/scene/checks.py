@@ -37,22 +37,25 @@ class Check:
 
     The value must not exceed ``limit``. The value is NaN if the run did not reach the checked
     event. ``advice`` states what to do if the check is violated. ``action`` is the effect of a
-    violation on the run. If ``coarse`` is true, time steps that are too large cause a violation,
-    and tighter tolerances may reduce the steps. If ``wiring`` is true, the check compares the
-    netlist with the scene. A difference may be intentional in an edited deck. ``suggested``
-    contains dotted keys with values that avoid the violation. ``suggested`` is empty if no values
-    are known, or if the scene sets the keys. If ``discretisation`` is true, the check compares a
-    model with a finer model at the frequencies of the run. In a transient, the command ``verify``
-    includes this check, unless ``verify`` solves the scene with the finer model.
+    violation on the run. ``coarse`` is true if too large time steps can cause a violation of the
+    check. A repeated run with tighter tolerances may pass a check with ``coarse = True``. If
+    ``wiring`` is true, the check compares the netlist with the scene. In an edited deck, netlist
+    and scene may differ intentionally, so a violated ``wiring`` check of an edited deck only prints
+    a warning. ``suggested`` contains dotted keys with values that avoid the violation.
+    ``suggested`` is empty if no key values are known that avoid the violation, or if the scene
+    itself sets the keys. If ``discretisation`` is true, the check compares a model with a finer
+    model at the frequencies of the run. For a transient, the command ``verify`` reports a check
+    with ``discretisation`` only if ``verify`` does not solve the scene with the finer model.
 
     If ``loaded`` is true, the value is the relative error of a reduced body under the recorded
-    loads of a transient. In a check of a motion, ``distance`` is the smallest distance of the
-    motion from the limit, on either side. ``travel`` is the range of the motion. ``distance`` and
-    ``travel`` have the unit of the check.
+    loads of a transient. In a check of a motion, ``distance`` is the smallest distance between an
+    extreme position of the motion and an end of its permitted range. ``travel`` is the range of the
+    motion. ``distance`` and ``travel`` have the unit of the check.
 
     ``found`` describes the value, and ``accepted`` describes the limit, in the quantities of the
-    scene. If both ``found`` and ``accepted`` are set, a violation is due to a value in the scene,
-    and the run writes no files.
+    scene. ``found`` and ``accepted`` are set only if a violation of the check is due to a value in
+    the scene. If a violated check has the text ``accepted``, the error message names the key to
+    change, so no files of the failed run are kept.
     """
 
     name: str
@@ -81,6 +84,12 @@ class Check:
         """Whether a violation of the check fails the run."""
         return self.action == "fail" and not self.passed
 
+    @property
+    def violation(self) -> str:
+        """Text of the warning that a violation of the check causes."""
+        value = f"{self.value:.3g} {self.unit}".rstrip()
+        return f"check {self.name}: {value}, limit {self.limit:.3g}: {self.advice}"
+
     def make_record(self) -> dict[str, object]:
         """Return the check as an entry of ``result.json``."""
         names = ("name", "value", "limit", "unit", "passed", "action", "advice")
@@ -92,9 +101,10 @@ class RunEnergyBalance(EqualByContent):
     """Energy balance of a part or of a whole run.
 
     ``entries`` [J] are the energies at the end of the run. ``missing`` [J] is the largest error of
-    the balance at any time. ``limit`` is the largest accepted ratio of ``missing`` to ``scale``
-    [J]. For a linear part, ``exact`` contains two arrays for each wave: the values of the run, and
-    the exact response to the loads.
+    the balance at any time. The relative error of the balance is ``missing`` divided by the energy
+    ``scale`` [J]. ``limit`` is the largest accepted relative error of the balance. For a linear
+    part, ``exact`` contains two arrays for each wave: the values of the run, and the exact response
+    to the loads.
     """
 
     entries: dict[str, float]
@@ -151,14 +161,14 @@ def compute_motion_error_limit(solver: SolverKeys) -> float:
 
     The error is the difference from the motion in the reference solution. At the usual tolerances
     ``reltol`` and ``chgtol``, the errors are 1e-5 to 3e-5. The errors are proportional to ``(reltol
-    chgtol)^0.55``.
+    * chgtol)^0.55``.
     """
     return float(4e-5 * (solver.reltol * solver.chgtol / 1e-12) ** 0.55)
 
 
 @dataclass(frozen=True)
 class Gate:
-    """Error limit of a result: largest accepted difference between two solutions.
+    """Gate of ``verify``: largest accepted difference of a result between solutions.
 
     ``result`` is the name of a metric or a wave, or a prefix of names with a final ``*``.
     ``limits`` contains the largest accepted difference for each pair of solutions. ``measure``
@@ -166,15 +176,16 @@ class Gate:
 
     * *relative*: difference of each value divided by the value (arrays: values above 1e-6 of the
       largest value);
-    * *absolute*: difference in ``unit``; *travel*: difference divided by the range of the wave;
-    * *largest*: difference divided by the largest value of all waves;
-    * *spectral*: difference of each entry of a response divided by its magnitude, at least 1e-6 of
-      the peak of the entry.
+    * *absolute*: difference in ``unit``; *travel*: difference divided by the range of the waveform;
+    * *largest*: difference divided by the largest value of all waveforms;
+    * *spectral*: difference of each entry of a response, divided by the magnitude of the entry or
+      by 1e-6 of its peak, whichever is larger.
 
     ``share`` is the compared fraction of the time or frequency range, counted from the start of the
-    range. If ``is_main`` is true, the difference is the error of the scene in ``errors``. If
-    ``discretisation`` is true, a transient is compared with a solution in which only the part of
-    the gate has a finer mesh.
+    range. For each pair of solutions, a verification records one error: the largest difference
+    among all gates with ``is_main = True``. If ``discretisation`` is true, a transient is compared
+    with a solution on a finer mesh. Only parts with a gate for their discretisation get the finer
+    mesh.
     """
 
     description: str

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from kc2spice.scene.model import GovernedScene
+from kc2spice.scene.scene_classes import GovernedScene
 
 
 def find_highest_frequency(scene: GovernedScene, constant: float = 0.0) -> float:
@@ -17,7 +17,8 @@ def find_highest_frequency(scene: GovernedScene, constant: float = 0.0) -> float
     Parameters
     ----------
     scene : the scene.
-    constant : time constant [s] of a filter between the sources and the part, such as a coil.
+    constant : time constant [s] of a low-pass filter between the sources and the part, for example
+        the inductance of a coil divided by its resistance.
     """
     if scene.resolved_frequency is not None:
         return scene.resolved_frequency

@@ -10,16 +10,18 @@ from math import inf
 from operator import attrgetter
 
 from kc2spice.core.errors import UsageError, list_candidates
-from kc2spice.core.quantities import convert_quantity
+from kc2spice.core.quantities import USUAL_GRAVITY, convert_quantity
 from kc2spice.core.schemas import find_unit
 from kc2spice.core.si_prefix_format import format_quantity
-from kc2spice.scene.model import Scene
+from kc2spice.core.waveforms import Waveform
+from kc2spice.scene.part_method_calls import PERIOD_TOLERANCE
 from kc2spice.scene.plausibility import (
-    ImplausibleError,
+    ImplausibleValueError,
     apply_check_action,
     check_plausible_values,
+    check_usual_range,
 )
-from kc2spice.scene.resolve import PERIOD_TOLERANCE
+from kc2spice.scene.scene_classes import Scene
 from kc2spice.scene.settings import ANALYSIS_UNITS, Analysis, ProbeKeys
 
 MAX_TIME_POINTS = 1e7  # largest number of time points in a transient
@@ -40,6 +42,8 @@ def check_scene(scene: Scene) -> Iterator[UsageError]:
         )
         return
     yield from _check_parts(scene)
+    _warn_of_gravity(scene)
+    _warn_of_late_waveforms(scene)
     yield from _check_includes(scene)
     yield from _check_largest_step(scene)
     yield from _check_unused_keys(scene.analysis)
@@ -58,15 +62,46 @@ def check_scene(scene: Scene) -> Iterator[UsageError]:
 
 def _check_parts(scene: Scene) -> Iterator[UsageError]:
     """Yield the errors of parts; errors about implausible values come last."""
-    implausible = []
+    implausible = list(check_usual_range("gravity", scene.gravity, USUAL_GRAVITY))
     for part in scene.parts.values():
         implausible_keys = check_plausible_values(part.name, part.keys)
         for problem in chain(implausible_keys, part.type.problems(part, scene)):
-            if isinstance(problem, ImplausibleError):
+            if isinstance(problem, ImplausibleValueError):
                 implausible.append(problem)
             else:
                 yield problem
     yield from apply_check_action(implausible, scene.checks.plausible)
+
+
+def _warn_of_gravity(scene: Scene) -> None:
+    """Warn about a stated gravity that acts on no part."""
+    if "gravity" not in scene.frame.model_fields_set or not scene.gravity:
+        return
+    if any(part.type.has_weight(part) for part in scene.parts.values()):
+        return
+    massive = (name for name, part in scene.parts.items() if hasattr(part.keys, "weight"))
+    name = next(massive, None)
+    action = f"write  weight = true  in [{name}]" if name else "delete the key"
+    warnings.warn(
+        f"the key `gravity` has no effect, because it acts on no part of this scene: {action}",
+        stacklevel=2,
+    )
+
+
+def _warn_of_late_waveforms(scene: Scene) -> None:
+    """Warn about each source whose waveform begins after the end of the transient."""
+    if scene.analysis.type != "transient":
+        return
+    for part in scene.parts.values():
+        wave = getattr(part.keys, "waveform", None) or part.type.voltage(part, scene)
+        begin = wave.find_first_change() if isinstance(wave, Waveform) else None
+        if begin is not None and begin >= scene.stop_time:
+            warnings.warn(
+                f"{part.name}: the waveform begins at {format_quantity(begin, 's')}, but the "
+                f"transient ends at {format_quantity(scene.stop_time, 's')}, so this source stays "
+                "constant: let the waveform begin earlier, or raise analysis.stop",
+                stacklevel=2,
+            )
 
 
 def _check_includes(scene: Scene) -> Iterator[UsageError]:
@@ -144,13 +179,24 @@ def _check_frequencies(scene: Scene) -> Iterator[UsageError]:
         )
     elif not stop - start > SMALLEST_STEP_RATIO * selected.points * stop:
         yield UsageError(
-            "the frequency range is empty",
+            "the frequency range is empty"
+            if stop <= start
+            else "the frequency range is too narrow",
             where=scene.select_overridden_key("analysis.start", "analysis.stop"),
             got=" to ".join(format_quantity(end, "Hz", 12) for end in (start, stop)),
             expected=f"a stop above the start, {format_quantity(start, 'Hz')}"
             if stop <= start
-            else f"frequency steps of more than {SMALLEST_STEP_RATIO:g} times the stop",
+            else f"stop - start of more than {SMALLEST_STEP_RATIO * selected.points:g} times stop",
             hint=f'for example  stop = "{format_quantity(10 * start, "Hz")}"',
+        )
+    stated = selected.model_fields_set
+    if selected.type == "ac" and start == 0 and "start" in stated and "scale" not in stated:
+        yield UsageError(
+            "a logarithmic range cannot begin at zero",
+            where="analysis.start",
+            got=f"{start:g} Hz",
+            expected='above 0, or scale = "linear"',
+            hint='write  scale = "linear"  in [analysis] for equal steps from 0 Hz on',
         )
     if selected.scale != "log":
         return
@@ -225,7 +271,7 @@ def _check_swept_key(scene: Scene) -> Iterator[UsageError]:
             expected=f"PART.dc of a source of the scene: {list_candidates(name, sources)}",
             hint=f'write  sweep = "{sources[0]}.dc"  in [analysis]',
         )
-    unit = _find_scale_unit(scene)
+    unit = _find_independent_variable_unit(scene)
     for key, value in (("from", selected.from_), ("to", selected.to)):
         if unit is not None and isinstance(value, str):
             convert_quantity(value, unit, where=f"analysis.{key}")
@@ -250,11 +296,11 @@ def _check_unused_keys(selected: Analysis) -> Iterator[UsageError]:
             continue
         key = name.rstrip("_")
         yield UsageError(
-            f"the key {key} has no effect in the {selected.type} analysis",
+            f"the key `{key}` has no effect in the {selected.type} analysis",
             where=f"analysis.{key}",
             got=f"{key} with type = {selected.type}",
             expected=f"{key} with type = {' or '.join(types)}",
-            hint=f"delete the key {key} of [analysis]",
+            hint=f"delete the key `{key}` of [analysis]",
         )
 
 
@@ -282,7 +328,7 @@ def _check_period_count(where: str, count: int, scene: Scene) -> Iterator[UsageE
             "the key `periods` needs a transient analysis",
             where=where,
             got=f"{scene.analysis.type} analysis",
-            expected="a transient analysis, or the keys from and to in place of periods",
+            expected="a transient analysis, or the keys `from` and `to` in place of `periods`",
             hint="delete the key `periods`",
         )
         return
@@ -295,7 +341,7 @@ def _check_period_count(where: str, count: int, scene: Scene) -> Iterator[UsageE
             where=where,
             got=f"periods {periods}" if periods else "no source with a period",
             expected="sines and pulse trains whose periods divide the longest one",
-            hint='write the window with from and to, such as from = "8 ms"',
+            hint='replace the key `periods` by the keys `from` and `to`, such as  from = "8 ms"',
         )
     elif count * period > scene.stop_time * (1 + PERIOD_TOLERANCE):
         fitting = int(scene.stop_time / period)
@@ -326,7 +372,7 @@ def _check_level_probe(where: str, probe: ProbeKeys, selected: Analysis) -> Iter
 def _check_probe_position(where: str, place: float, scene: Scene) -> Iterator[UsageError]:
     """Yield an error if a probe reads a point outside of the range of the analysis."""
     selected, part_unit = scene.analysis, getattr(place, "unit", "")
-    unit = _find_scale_unit(scene)
+    unit = _find_independent_variable_unit(scene)
     if part_unit and unit is not None and part_unit != unit:
         examples = {"s": '"2 ms"', "Hz": '"46 Hz"', "": "a plain number"}
         article = "an" if selected.type in ("ac", "op") else "a"
@@ -345,7 +391,7 @@ def _check_probe_position(where: str, place: float, scene: Scene) -> Iterator[Us
     if not first <= place <= last:
         expected = f"{first:g} … {last:g} {unit or ''}".rstrip()
         yield UsageError(
-            "this value is outside of the range of the analysis",
+            "this time, frequency or swept value is outside of the range of the analysis",
             where=where,
             got=f"{place:g}",
             expected=expected,
@@ -353,7 +399,7 @@ def _check_probe_position(where: str, place: float, scene: Scene) -> Iterator[Us
         )
 
 
-def _find_scale_unit(scene: Scene) -> str | None:
+def _find_independent_variable_unit(scene: Scene) -> str | None:
     """Return the unit of the independent variable: time, frequency or swept key.
 
     The result is None if the unit is unknown.

@@ -12,8 +12,8 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from kc2spice.core.schemas import find_unit, list_keys
-from kc2spice.scene.model import DEFAULT_TABLES, Scene
 from kc2spice.scene.parttype import load_part_types
+from kc2spice.scene.scene_classes import DEFAULT_TABLES, Scene
 from kc2spice.scene.settings import ProbeKeys, SceneKeys
 
 

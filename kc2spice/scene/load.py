@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import shlex
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -20,19 +21,19 @@ from kc2spice.core.domains import QUANTITIES
 from kc2spice.core.errors import UsageError, did_you_mean, list_candidates, normalise_word, unknown
 from kc2spice.core.key_errors import describe_invalid_key
 from kc2spice.core.schemas import list_keys
-from kc2spice.core.synonyms import PART_TYPE_SYNONYMS
+from kc2spice.core.synonyms_from_other_programs import PART_TYPE_SYNONYMS
 from kc2spice.core.toml_text import clip_text, display_text, format_toml
 from kc2spice.core.untrusted_files import (
     make_identifier,
 )
 from kc2spice.scene.catalogue import find_part
 from kc2spice.scene.key_checks import check_periods, check_scene
-from kc2spice.scene.model import DEFAULT_TYPES, GROUND, NameAllocator, Part, PartType, Scene
 from kc2spice.scene.net_formation import add_default_joins
-from kc2spice.scene.overrides import read_overrides, set_key, write_example
+from kc2spice.scene.overrides import EXCLUSIVE_KEYS, read_overrides, set_key, write_example
+from kc2spice.scene.part_method_calls import add_governed_records, resolve
 from kc2spice.scene.parttype import find_part_type, list_type_names
 from kc2spice.scene.plausibility import apply_check_action, check_drive_levels
-from kc2spice.scene.resolve import add_governed_records, resolve
+from kc2spice.scene.scene_classes import DEFAULT_TYPES, GROUND, NameAllocator, Part, PartType, Scene
 from kc2spice.scene.scene_file import SceneFile, open_scene
 from kc2spice.scene.settings import Analysis, SceneKeys
 from kc2spice.scene.start_conditions import find_start_errors
@@ -56,11 +57,12 @@ def load_scene(
         Name of a built-in scene (``kc2spice scenes`` lists them), path of a TOML file, the tables
         of such a file as a mapping, or a scene to be changed.
     overrides : sequence of str, or mapping of str to value, optional
-        Strings ``dotted.key=value``, or a mapping of dotted keys to values. A value in a string is
-        TOML (``80``, ``"80 V"``, ``[0, 1e5]``), a quantity (``80 V``) or a bare word
-        (``antiparallel``). Numbers are in SI units. A string may also be the path of a TOML file
-        that contains dotted keys and values. List entries are counted from 0; negative numbers
-        count from the end of the list: ``beam.layers[0].thickness``, ``disc.layers[-1].material``.
+        Strings ``dotted.key=value``, or a mapping of dotted keys to values. In a string
+        ``dotted.key=value``, the value is a TOML value (``80``, ``"80 V"``, ``[0, 1e5]``), a
+        quantity (``80 V``) or a word (``antiparallel``). Numbers are in SI units. A string may also
+        be the path of a TOML file that contains dotted keys and values. List entries are counted
+        from 0; negative numbers count from the end of the list: ``beam.layers[0].thickness``,
+        ``disc.layers[-1].material``.
 
     Returns
     -------
@@ -109,10 +111,15 @@ def load_scene(
         )
     tables = {name: table for name, table in data.items() if isinstance(table, Mapping)}
 
+    typed = dict[tuple[str, ...], str]()  # origins of overrides that are not in a file
     for name, value, place, folder in list(
         read_overrides(overrides, partial(_write_override_example, tables))
     ):
-        source.set_override(set_key(data, name, value, place), value, place, folder)
+        path = set_key(data, name, value, place)
+        source.set_override(path, value, place, folder)
+        if folder is None:
+            _warn_of_replaced_overrides(typed, path, name, place)
+            typed[path] = place
     _require_known_parts(data, tables, source)
     try:
         result = _make_scene(data, source)
@@ -131,11 +138,26 @@ def load_scene(
         raise
 
 
-def _explain_replaced_type(data: Mapping[str, Any], source: SceneFile, problem: UsageError) -> bool:
-    """Explain a key error by an override of the part type, if this is the cause.
+def _warn_of_replaced_overrides(
+    typed: Mapping[tuple[str, ...], str], path: tuple[str, ...], name: str, place: str
+) -> None:
+    """Warn about each earlier override that a later override of key ``name`` replaces.
 
-    Return False, and leave the error unchanged, if no override replaces the type of the part, or if
-    an override sets the key.
+    ``typed`` contains the origins of the earlier overrides by path, ``path`` and ``place`` are the
+    path and the origin of the later override.
+    """
+    excluded = (*path[:-1], EXCLUSIVE_KEYS.get(name, ""))
+    for other, earlier in typed.items():
+        if other in (path, excluded):
+            texts = [text.removeprefix("--set ") for text in (earlier, place)]
+            warnings.warn(f"{texts[0]} has no effect, because {texts[1]} replaces it", stacklevel=3)
+
+
+def _explain_replaced_type(data: Mapping[str, Any], source: SceneFile, problem: UsageError) -> bool:
+    """Explain a key error if an override that replaced the part type caused it.
+
+    Return False, and leave the error unchanged, if no override replaces the type of the part. Also
+    return False if an override sets the key that the error is about.
     """
     where = str(problem.where)
     name, _, key = where.partition(".")
@@ -154,7 +176,7 @@ def _explain_replaced_type(data: Mapping[str, Any], source: SceneFile, problem: 
             changed[path[1]] = os.path.relpath(file, source.base_folder)
     text = f"{name}={format_toml(changed)}"
     problem.got = f"{where} of {source.label}: {problem.message}"
-    problem.message = f"the key {where} of the scene does not fit the new part type"
+    problem.message = f"the key `{where}` of the scene does not fit the new part type"
     problem.expected = f"a table {name} with keys of part = {table['part']!r} only"
     problem.hint = (
         f"replace the whole table: add  --set {shlex.quote(text)}"
@@ -267,10 +289,15 @@ def _make_parts(
         at: tuple[str | int, ...] = (),
         **options: Any,
     ) -> Part:
-        """Make a part that reads files in the folder of the scene or an override file."""
+        """Make a part, and set the folder of the files that it reads.
+
+        If an override file sets keys of the part, file names are relative to the folder of the
+        override file. Otherwise, file names are relative to the folder of the scene.
+        """
         folder = source.find_override_folder(tuple(map(str, at or (name,))))
         part = _make_part(name, table, kind, folder or source.folder, at, **options)
-        return part if folder is None else replace(part, folder=folder)
+        keys = frozenset(path[1] for path in source.overrides if path[0] == name and path[1:])
+        return replace(part, folder=folder, overridden_keys=keys)
 
     parts = {}
     for name, kind in types.items():
@@ -333,11 +360,20 @@ def _add_default_drive(scene: Scene) -> Scene:
 
 
 def _advise_drive(scene: Scene, ports: Sequence[tuple[str, str]]) -> str:
-    """Return a hint that contains a table for a source of the ``ac`` analysis.
+    """Return a hint that adds an amplitude, or a source, for the ``ac`` analysis.
 
-    The source drives the first of the ``ports``. Without ports, the source drives the first pin of
-    the scene that has a flow, such as a force or a current.
+    If the scene has a source, the hint adds an amplitude to this source, preferably to a source at
+    one of the ``ports``. Otherwise, the hint contains a table for a source that drives the first of
+    the ``ports``. If ``ports`` is empty, the source drives the first pin of the scene that carries
+    a flow, such as a force or a current.
     """
+    sources = scene.list_parts("source")
+    targets = {target for port in ports for target in scene.parts[port[0]].pins.values()}
+    near = [source for source in sources if f"{source.name}.out" in targets]
+    near += [source for source in sources if {*map(".".join, ports)} & {*source.pins.values()}]
+    for source in (*near, *sources):
+        return f'write  ac = "1 {getattr(source.keys, "unit", "V")}"  in [{source.name}]'
+    name = next(word for word in ("drive", "ac_drive", "drive_2") if word not in scene.parts)
     for part in scene.parts.values():
         for pin in part.type.pins(part, scene):
             domain = pin.domain
@@ -349,7 +385,7 @@ def _advise_drive(scene: Scene, ports: Sequence[tuple[str, str]]) -> str:
                 unit = QUANTITIES[kind][0].get_quantity(QUANTITIES[kind][1]).unit
                 keys = "" if kind == "voltage" else f'kind = "{kind}", '
                 return (
-                    f'add [drive] with part = "source", {keys}ac = "1 {unit}" and '
+                    f'add [{name}] with part = "source", {keys}ac = "1 {unit}" and '
                     f'pins = {{ out = "{part.name}.{pin.name}" }}'
                 )
     return 'add a part with part = "source" and ac = "1 V"'
@@ -436,7 +472,7 @@ def _find_part_type(name: str, table: Mapping[str, Any]) -> PartType:
             if isinstance(table.get(key), str) and find_part_type(table[key].lower()) is not None:
                 near = f'write  part = "{table[key].lower()}"  in place of {key} = "{table[key]}"'
         raise UsageError(
-            "this table has no key part",
+            "the key `part` is missing in this table",
             where=name,
             expected=f"part = one of {list_candidates(name, list_type_names(), PARTS_COMMAND)}",
             hint=near
@@ -458,7 +494,7 @@ def make_unknown_type_error(selected: object, where: str, advice: str) -> UsageE
     """Make the error for a text that is not the name of a part type.
 
     A part number of the catalogue has its own error, because the number determines the part type
-    and its keys. ``advice`` is the next action if no part type has a similar name.
+    and its keys. ``advice`` is the hint of the error message if no part type has a similar name.
     """
     sold = find_part(selected) if isinstance(selected, str) else None
     if sold is None:
@@ -485,10 +521,11 @@ def _make_part(
 ) -> Part:
     """Make the part that a table of the scene describes.
 
-    ``at`` is the path of the table in the file, by default ``(name,)``. If the name of the table
-    implies the part type, ``short`` contains the names of all tables of the scene. Some keys of a
-    part without the key ``part`` may depend on other tables. ``tables`` are all tables of the
-    scene; errors suggest pins from ``tables``.
+    ``at`` is the path of the table in the file, by default ``(name,)``. ``short`` contains the
+    names of all tables of the scene if the name of the part's table implies the part type;
+    otherwise, ``short`` is empty. The defaults of a part may depend on the names in ``short``. For
+    example, a table ``harmonic`` removes the default pulse of a stack. ``tables`` are all tables of
+    the scene; errors suggest pins from ``tables``.
     """
     pins = table.get("pins", {})
     if not isinstance(pins, Mapping) or not all(isinstance(v, str) for v in pins.values()):
@@ -501,11 +538,12 @@ def _make_part(
 
 
 def _list_pins(name: str, table: Mapping[str, Any], kind: PartType, home: Path) -> list[str]:
-    """Return the pin names of a part, made without the other parts of the scene.
+    """Return the names of the pins that a part has in a scene without other parts.
 
     The result is empty if the pins depend on other parts.
     """
-    with suppress(Exception):  # after an error, the message only lacks a suggestion
+    # If the pins cannot be listed, the error message for the user merely contains no suggestion.
+    with suppress(Exception):
         part = _make_part(name, {**table, "pins": {}}, kind, home)
         alone = Scene(SceneKeys(name=name), {name: part}, home=home)
         return [pin.name for pin in kind.pins(part, replace(alone, ports="all"))]
@@ -540,7 +578,7 @@ def _make_pins_error(
         names += [GROUND if 0 in targets else _suggest_target(name, tables, home)]
         target = names[0]
         return UsageError(
-            f"the pin {wrong_pin} is not connected to one pin",
+            f"the pin {wrong_pin} must be connected to exactly one pin",
             where=f"{name}.pins.{wrong_pin}",
             got=display_text(stated),
             expected="the name of one other pin, or gnd",

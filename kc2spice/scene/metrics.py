@@ -1,7 +1,7 @@
 """Computation of the metrics of a run from the parts and probes of its scene.
 
-The input is the waves of a run and the build of its scene. A probe reads one wave; the module
-:mod:`kc2spice.core.probe_values` computes the value of the probe.
+The inputs are the waveforms of a run, and the scene of the run with its built models. A probe reads
+one waveform; the module :mod:`kc2spice.core.probe_values` computes the value of the probe.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from kc2spice.core.sound_level import GAS_REFERENCE, SoundLevel
 from kc2spice.core.waveforms import SCALES, Waveforms
 from kc2spice.scene import noise_analysis
 from kc2spice.scene.checks import Metric
-from kc2spice.scene.model import BuiltScene, Scene
 from kc2spice.scene.results import NOISE_WAVE
+from kc2spice.scene.scene_classes import BuiltScene, Scene
 from kc2spice.scene.settings import ProbeKeys
 
 
@@ -83,14 +83,14 @@ def _list_metrics(waves: Waveforms, build: BuiltScene, *, partial: bool) -> dict
 
 
 def _covers_probe(probe: ProbeKeys, waves: Waveforms, window: tuple[float, float] | None) -> bool:
-    """Return whether the waves of an interrupted run cover everything a probe reads."""
+    """Return whether an interrupted run recorded all values that a probe reads."""
     low, high = waves.scale.real.min(), waves.scale.real.max()
     places = [*probe.positions_by_key.values(), *(filter(math.isfinite, window or ()))]
     return probe.of in waves and all(low <= place <= high for place in places)
 
 
 def _find_probe_unit(probe: ProbeKeys, build: BuiltScene, waves: Waveforms) -> str:
-    """Return the SI unit of the value that a probe computes from a wave."""
+    """Return the SI unit of the value that a probe computes from a waveform."""
     scale = SCALES.get(next(iter(waves)), "")
     if build.dc_sweep is not None:
         scale = build.dc_sweep.unit

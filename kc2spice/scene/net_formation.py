@@ -16,8 +16,10 @@ from typing import Any
 
 from kc2spice.core.domains import ELECTRICAL, QUANTITIES, Domain
 from kc2spice.core.errors import UsageError, did_you_mean, list_candidates, unknown
-from kc2spice.scene.frames import find_frames
-from kc2spice.scene.model import (
+from kc2spice.scene.part_records import EquilibriumConditions
+from kc2spice.scene.parttype import find_current_into
+from kc2spice.scene.reference_frames import find_frames
+from kc2spice.scene.scene_classes import (
     GROUND,
     BuildRecord,
     BuiltScene,
@@ -26,8 +28,6 @@ from kc2spice.scene.model import (
     Scene,
     Terminal,
 )
-from kc2spice.scene.part_records import EquilibriumConditions
-from kc2spice.scene.parttype import find_current_into
 
 Pin = tuple[str, str]
 _GROUND_PIN: Pin = (GROUND, "")
@@ -210,13 +210,13 @@ def _require_same_kind(a: Pin, b: Pin, scene: Scene, where: str) -> None:
             got=f"{'.'.join(a)} is a pin in {first.kind}, {name} a pin in {second.kind}",
             expected=f"gnd, or a pin in {first.kind}: {list_candidates(name, choices)}"
             if choices
-            else f"gnd, or a pin in {first.kind}, which no other part of the scene has",
+            else f"gnd; no other part of the scene has a pin in {first.kind}",
             hint=hint,
         )
 
 
 def _suggest_kind(part: str, terminal: Terminal, other: Terminal) -> str | None:
-    """Suggest a key value with which a pin has the same units as another pin."""
+    """Suggest a kind for a pin, so that the pin has the same units as another pin."""
     units = other.unit, other.flow
     kinds = [name for name, (domain, _) in QUANTITIES.items() if domain.units == units]
     if not terminal.kind_key or not kinds:
@@ -227,8 +227,9 @@ def _suggest_kind(part: str, terminal: Terminal, other: Terminal) -> str | None:
 def _suggest_target(pin: Pin, choices: Sequence[str], scene: Scene) -> str:
     """Suggest a pin or ground to which a pin can be joined.
 
-    For a part with two pins whose other pin is joined, suggest ground. The ``choices`` may be on
-    the net of the other pin.
+    ``choices`` are pins of the same kind, of which the first is suggested. If one of a part's two
+    pins is joined, ground is suggested for the unjoined pin. The first of ``choices`` could be on
+    the net of the joined pin, which would short-circuit the part.
     """
     ends = {end for part, end in scene.terminals if part == pin[0]}
     joined = len(ends) == 2 and not ends.isdisjoint({*scene.parts[pin[0]].pins} - {pin[1]})
@@ -237,7 +238,10 @@ def _suggest_target(pin: Pin, choices: Sequence[str], scene: Scene) -> str:
 
 
 def _are_compatible(a: Terminal, b: Terminal) -> bool:
-    """Return whether two pins have equal units, and equal flows unless one has none."""
+    """Return whether two pins have equal units and compatible flows.
+
+    The flows of two pins are compatible if they are equal, or if one of the pins has no flow.
+    """
     return a.unit == b.unit and (a.flow == b.flow or "-" in (a.flow, b.flow))
 
 
@@ -274,7 +278,10 @@ def _name_nets(groups: list[list[Pin]], scene: Scene) -> dict[Pin, str]:
 
 
 def _with_inner_names(scene: Scene) -> Scene:
-    """Name ammeters, internal nodes and extra cards uniquely; return the scene."""
+    """Return the scene with names of ammeters, internal nodes and extra cards.
+
+    Each name occurs only once in the deck.
+    """
     cards = map("".join, product(ascii_lowercase, scene.parts))
     free = NameAllocator((*scene.nets.values(), *cards))
     names: dict[tuple[str, ...], str] = {}
@@ -351,7 +358,7 @@ def _list_metered_pins(scene: Scene) -> Iterator[Pin]:
 
 
 def _reports_pin_current(body: Part, pin: str, scene: Scene) -> bool:
-    """Return whether the only other part at a body's pin reports the pin's current."""
+    """Return whether one part is joined to a body's pin and reports the pin's current."""
     build = BuiltScene(scene, {})
     records = {}
     for name, _ in scene.list_joined_pins(body.name, pin):
@@ -373,8 +380,9 @@ def _make_unjoined_error(
 ) -> UsageError:
     """Return the error about a required pin that is not joined.
 
-    If possible, the hint names a target pin that is also not joined. A joined target could
-    short-circuit a voltage, such as a bias voltage. The target ground would clamp a motion.
+    If possible, the hint names a target pin that is also not joined. A connection to a pin that is
+    already joined could short-circuit a voltage, such as a bias voltage. For a displacement pin,
+    the error does not suggest ground, because ground would clamp the motion.
     """
     fitting: list[Pin] = []
     waiting: list[Pin] = []
@@ -466,7 +474,7 @@ def _reject_source_loops(scene: Scene) -> None:
 
 
 def _require_ground(scene: Scene) -> None:
-    """Reject parts without a connection to ground, whose potentials are not unique."""
+    """Require a ground connection of all parts, so that their potentials are unique."""
     union = DisjointGroups(["0", *scene.nets.values()])
     first: dict[str, str] = {}
     for (part, _), net in scene.nets.items():
@@ -490,8 +498,9 @@ def _require_ground(scene: Scene) -> None:
 def _choose_ground_pin(floating: Sequence[Pin], scene: Scene) -> Pin:
     """Choose the pin that an error suggests to connect to ground.
 
-    A reference pin, such as the pin ``ref`` of a netlist, comes first. On the net of this pin, the
-    function chooses a pin without a target, because a second target would replace the first.
+    A reference pin, such as the pin ``ref`` of a netlist, comes first. If possible, the function
+    chooses a pin without a target on the net of the reference pin, because a pin can have only one
+    target.
     """
     reference = (key for key in floating if scene.terminals[key].default == GROUND)
     chosen = next(reference, floating[-1])
@@ -521,7 +530,7 @@ class DisjointGroups:
             self._groups.update(dict.fromkeys(second, first))
 
     def list_groups(self) -> list[list[Any]]:
-        """Return all groups, in the order of the groups' first members."""
+        """List all groups of joined members, in the order of their first members."""
         result: dict[int, list[Any]] = {}
         for member, group in self._groups.items():
             result.setdefault(id(group), []).append(member)
@@ -529,7 +538,7 @@ class DisjointGroups:
 
 
 def describe_nets(scene: Scene) -> tuple[str, ...]:
-    """Describe each net with more than one pin in a line of text."""
+    """Return one line of text for each net with several pins, and for ground."""
     nets: dict[str, list[str]] = {}
     for (part, pin), net in scene.nets.items():
         nets.setdefault(net, []).append(f"{part}.{pin}")

@@ -10,9 +10,9 @@ import numpy as np
 from kc2spice.core.figure import Curve, Figure, Panel, get_axis_label_and_factor
 from kc2spice.core.waveforms import Waveforms, integrate_cumulatively
 from kc2spice.scene.checks import Check, Metric
-from kc2spice.scene.model import BuiltScene
 from kc2spice.scene.part_records import DENSITY_UNIT
 from kc2spice.scene.results import NOISE_WAVE
+from kc2spice.scene.scene_classes import BuiltScene
 
 # Largest accepted relative change of the rms value if every second frequency is omitted.
 MAX_RMS_CHANGE = 0.02
@@ -52,7 +52,7 @@ def _compute_rms_value(f: np.ndarray, density: np.ndarray) -> float:
 def check_noise(waves: Waveforms) -> Iterator[Check]:
     """Check that the rms noise hardly changes if every second frequency is omitted.
 
-    The change is large if the frequency steps do not resolve a resonance.
+    A large change of the rms noise shows that the frequency steps do not resolve a resonance.
     """
     if (f := waves["frequency"].real).size > 4:
         even = f.size - (f.size + 1) % 2

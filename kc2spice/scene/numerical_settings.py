@@ -17,12 +17,12 @@ from annotated_types import Ge, Le, Lt
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from kc2spice.core.mesh_error import list_mesh_errors
+from kc2spice.core.mesh_error_descriptions import list_mesh_errors
 from kc2spice.core.quantities import RefinementRule
-from kc2spice.scene.frames import describe_frames
-from kc2spice.scene.model import BuiltScene, Part, Scene
 from kc2spice.scene.net_formation import describe_nets
 from kc2spice.scene.part_records import NeglectedEffect
+from kc2spice.scene.reference_frames import describe_frames
+from kc2spice.scene.scene_classes import BuiltScene, Part, Scene
 from kc2spice.scene.settings import Analysis, RomKeys, SolverKeys
 
 MAX_STEP_KEY = "solver.max_step"
@@ -42,8 +42,9 @@ class NumericalSetting:
     the reduction. Each refinement step multiplies the highest frequency of the band by ``wider``.
     If the setting is the number of points of a logarithmic frequency grid, ``decades`` is the width
     of the grid in decades. A refined grid contains all points of the coarser grid. ``model`` is
-    true for a setting that does not change the computing time of the simulator. ``mesh`` is true
-    for a setting that determines the fineness of a mesh.
+    true for a setting, such as a mesh size, that affects the time to build a model but not the
+    computing time of the simulator. ``mesh`` is true for a setting that determines the fineness of
+    a mesh.
     """
 
     name: str
@@ -158,7 +159,7 @@ def _list_reduction_settings(build: BuiltScene) -> Iterator[NumericalSetting]:
         separate = getattr(part.keys, "rom", None) is not None
         prefix = (
             f"{part.key_prefix}.rom"
-            if separate or not _uses_scene_reduction(part, scene)
+            if separate or not _has_common_reduction(part, scene)
             else "rom"
         )
         if prefix in known:
@@ -176,15 +177,15 @@ def _list_reduction_settings(build: BuiltScene) -> Iterator[NumericalSetting]:
         setting = _make_setting(
             f"{prefix}.tolerance", rom.tolerance, RomKeys.model_fields["tolerance"]
         )
-        # A run has only one value of each parameter.
-        # The refined reduction therefore has no parameter ranges, and its band may be wider.
+        # The refined reduction has no parameter ranges, because a run has only one value of each
+        # parameter. The band of the refined reduction may be wider than the band of the scene.
         plain: dict[str, Any] = {f"{prefix}.parameters": {}} if rom.parameters else {}
         wider = (BAND_GROWTH**2 if plain else BAND_GROWTH) if timed else 1.0
         yield replace(setting, band=band, wider=wider, finer=plain)
 
 
-def _uses_scene_reduction(part: Part, scene: Scene) -> bool:
-    """Return whether all bodies with a reduction have the settings of this part."""
+def _has_common_reduction(part: Part, scene: Scene) -> bool:
+    """Return whether all reduced bodies have the same reduction settings as ``part``."""
     reduction = scene.records[part.name].reduction
     return all(record.reduction in (None, reduction) for record in scene.records.values())
 
@@ -192,7 +193,8 @@ def _uses_scene_reduction(part: Part, scene: Scene) -> bool:
 def _make_setting(name: str, value: float, declared: FieldInfo) -> NumericalSetting:
     """Return the numerical setting of a key, with rule and limits of the key.
 
-    The declaration of the key contains the rule and the limits.
+    ``declared`` is the declaration of the key, which contains its refinement rule and the limits of
+    its value.
     """
     rule = _find_rule(declared)
     assert rule is not None
@@ -276,8 +278,8 @@ def describe_plan(build: BuiltScene) -> dict[str, Any]:
     for setting in find_numerical_settings(build):
         error = _estimate_mesh_error(setting, build)
         # The tolerance of a reduction bounds the error only within the band of the reduction.
-        # In a transient, voltage steps excite modes above the band, so the tolerance is no error
-        # estimate.
+        # In a transient, voltage steps excite modes above the band, so the error can exceed the
+        # tolerance.
         if scene.analysis.is_small_signal and setting.name.endswith("rom.tolerance"):
             error = setting.value
         settings.append({"key": setting.name, "value": setting.value, "error": error})

@@ -20,10 +20,10 @@ _DOTTED_KEY = re.compile(
     rf"{_WORD_PATTERN}({_INDEX_PATTERN})*(\.{_WORD_PATTERN}({_INDEX_PATTERN})*)*"
 )
 _STRUCTURAL_KEYS = ("part", "pins")  # keys of a part that never appear in examples of overrides
-_PLAIN_ARGUMENT = re.compile(r"[\w.=+:%,/-]+")  # pattern of strings that a shell reads unquoted
+_PLAIN_ARGUMENT = re.compile(r"[\w.=+:%,/-]+")  # pattern of strings that need no quotes in a shell
 _SEPARATOR = re.compile(r"[.\[]")
-# pairs of keys that exclude each other: a dotted key, and the last word of the excluded key
-_EXCLUSIVE_KEYS = {"rom.order": "tolerance", "rom.tolerance": "order"}
+# Keys that exclude each other: an override of ``rom.order`` deletes ``tolerance``, and vice versa.
+EXCLUSIVE_KEYS = {"rom.order": "tolerance", "rom.tolerance": "order"}
 _OVERRIDE_EXAMPLES = (
     "dotted.key=value, such as kick.drive.voltage=80 or beam.layers[0].thickness=0.2 mm"
 )
@@ -66,7 +66,10 @@ def expand_overrides(texts: Sequence[str]) -> list[str]:
 
 
 def _expand_files(texts: Sequence[str]) -> Iterator[tuple[str, str | None]]:
-    """Yield each string ``dotted.key=value``, and the name of its TOML file or None."""
+    """Expand TOML files to overrides ``key=value``; yield each with its file name.
+
+    The file name is None for an override that is not in a file.
+    """
     for text in texts:
         if "=" in text or not text.endswith(".toml"):
             yield text, None
@@ -119,8 +122,8 @@ def write_example(name: str, tables: Mapping[str, Any], keys: Sequence[str]) -> 
     """Return an example of how to override a key, or a key in a table.
 
     ``name`` is the name of the key or of the table. For a table, the example overrides a key in the
-    table. The example contains the present value in ``tables``, the tables of the scene. ``keys``
-    are the dotted keys of the part to which ``name`` belongs.
+    table. The example sets the key to its present value in the scene. ``tables`` are the tables of
+    the scene. ``keys`` are the dotted keys of the part to which ``name`` belongs.
     """
     value: Any = tables
     for step in re.findall(rf"{_WORD_PATTERN}|{_INDEX_PATTERN}", name):
@@ -173,13 +176,13 @@ def set_key(data: dict[str, Any], name: str, value: Any, where: str) -> tuple[st
             near = _suggest_list(holder, str(key))
             holder = holder.setdefault(key, {}) if isinstance(holder, dict) else holder[key]
     if isinstance(holder, dict):
-        holder.pop(_EXCLUSIVE_KEYS.get(name, ""), None)
+        holder.pop(EXCLUSIVE_KEYS.get(name, ""), None)
     holder[key] = value
     return tuple(path)
 
 
 def _suggest_list(holder: Any, key: str) -> str | None:
-    """Return a hint if a table contains a list with a name similar to a key."""
+    """Suggest a list in the table ``holder`` with a name similar to an unknown key."""
     table = holder if isinstance(holder, dict) else {}
     return did_you_mean(key, [name for name, value in table.items() if isinstance(value, list)])
 
@@ -187,8 +190,9 @@ def _suggest_list(holder: Any, key: str) -> str | None:
 def _find_key(holder: Any, step: str, so_far: str, where: str, suggestion: str | None) -> str | int:
     """Return the table key or list index that one step of a dotted key denotes.
 
-    ``holder`` is the value of the dotted key ``so_far``, which precedes the step. ``suggestion`` is
-    a hint about a list with a similar name.
+    ``so_far`` is the part of the dotted key before ``step``, for example ``disc.layers`` before
+    ``[0]``. ``holder`` is the table, list or value that the scene contains at the dotted key
+    ``so_far``. ``suggestion`` is a hint about a list with a similar name.
 
     Raises
     ------

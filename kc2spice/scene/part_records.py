@@ -11,7 +11,7 @@ import numpy as np
 
 from kc2spice.core.equality import EqualByContent
 from kc2spice.netlist.expression import parse_vector, split_terms
-from kc2spice.netlist.powers import PowerTerm
+from kc2spice.netlist.power_waveforms import PowerTerm
 
 Pin = tuple[str, str]
 Powers = tuple[PowerTerm, ...]  # terms whose sum is the power of a part, or the power at a pin
@@ -41,12 +41,14 @@ class InitialState:
     height: float
 
 
-# States that another part prescribes the motion of a governed part, or copies its cards.
+# Relation of a governed part to another part: the other part prescribes its motion ("moved"), or
+# copies its cards ("copied").
 Governed = Literal["moved", "copied"]
 
 
 # Function that returns the highest frequency [Hz] at which a part excites other parts.
-# The argument of the function is the time constant [s] of a filter between the parts.
+# The argument of the function is the time constant [s] of the filter, such as a coil, through which
+# the part excites other parts.
 HighestFrequency = Callable[[float], float]
 
 
@@ -76,7 +78,8 @@ class PartResult:
     The expression may be a sum, such as ``a+b``. A current or force leaves the part at the pins in
     ``leaves``, and enters the part at the pins in ``enters``. For a sound pressure,
     ``level_reference`` is the rms pressure [Pa] at 0 dB. If ``corrected`` is true, the part
-    corrects the result after the run (:meth:`kc2spice.scene.model.PartType.corrected_waves`).
+    corrects the result after the run
+    (:meth:`kc2spice.scene.scene_classes.PartType.corrected_waves`).
     """
 
     expression: str
@@ -94,7 +97,7 @@ class PartResult:
 
     @property
     def voltage(self) -> str | None:
-        """Voltage in ngspice syntax, such as ``v(a,b)``, or None for other results."""
+        """Voltage in ngspice syntax, such as ``v(a,b)``; None if the result is no voltage."""
         plus: list[str] = []
         minus: list[str] = []
         for sign, text in self.terms:
@@ -172,9 +175,10 @@ class DcSweep(EqualByContent):
     ends : tuple of two floats
         First and last value of the key in SI units.
     values : ndarray
-        Values of the swept variable in SI units. ngspice sweeps only in one direction. A sweep to
-        ``last`` and back to the start is therefore one sweep over twice the range. In the second
-        half, the source has the value ``2 last - value``, where ``last`` is the second value in
+        Values of the swept variable in SI units. ngspice sweeps only in one direction. To vary the
+        key from its start value to ``last`` and back, ngspice sweeps the variable over twice the
+        range of the key. If the sweep value v is beyond ``last``, the source has the value ``2 *
+        last - v``, so the source returns to its start value. ``last`` is the second value in
         ``ends``.
     """
 
@@ -221,9 +225,10 @@ class StepLimit:
 class NumericalRequirements:
     """Numerical requirements of a part: time step, tolerances and simulator options.
 
-    ``step`` is the longest time step [s] that resolves the part. ``description`` is the reason for
-    the step. ``highest_frequency`` [Hz] is the highest frequency at which the part excites other
-    parts. If ``overrides_others`` is true, ``step`` overrides the steps of all other parts.
+    ``step`` is the longest time step [s] that resolves the part. ``description`` states why the
+    time step must not exceed ``step``. ``highest_frequency`` [Hz] is the highest frequency at which
+    the part excites other parts. If ``overrides_others`` is true, ``step`` overrides the steps of
+    all other parts.
     ``reltol`` and ``chgtol`` are factors of at most 1, by which the part reduces the tolerances of
     the solver. ``options`` contains the value of each simulator option and the reason for the
     value, keyed by option. ``period`` [s] is the period of the waves with which the part drives
@@ -262,7 +267,7 @@ class AcceleratedFrame:
 
     @property
     def node_cosines(self) -> frozenset[tuple[str, float | None]]:
-        """Node and direction cosine of each acceleration; equal sets mean equal frames."""
+        """Pairs of acceleration node and direction cosine; equal frames have equal pairs."""
         return frozenset((shake.net, shake.along) for shake in self.shakes)
 
     @property

@@ -1,10 +1,11 @@
 """Registry of part types, and results that depend on several parts of a scene.
 
-Each module in ``kc2spice.parts`` has the name of a part type. The module defines a subclass of
-:class:`kc2spice.scene.model.PartType` and passes an instance to :func:`register_part_type`. A
-module named ``*_types`` registers several part types. Modules outside of ``kc2spice.parts`` do not
-depend on particular part types. The module of a part type is imported only when a scene needs the
-part type. Other Python packages add part types by entry points in the group ``kc2spice.parts``.
+Each module in ``kc2spice.parts`` has the name of a part type. The module of a part type defines a
+subclass of :class:`kc2spice.scene.scene_classes.PartType` and passes an instance to
+:func:`register_part_type`. A module named ``*_types`` registers several part types. Modules outside
+of ``kc2spice.parts`` do not depend on particular part types. The module of a part type is imported
+only when a scene needs the part type. Other Python packages add part types by entry points in the
+group ``kc2spice.parts``.
 """
 
 from __future__ import annotations
@@ -21,9 +22,9 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.plugins import list_entry_points, load_plugin
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.expression import join_terms
-from kc2spice.netlist.spelling import require_name
-from kc2spice.scene.model import BuiltScene, Part, PartType, find_flows
+from kc2spice.netlist.number_and_name_spelling import require_name
 from kc2spice.scene.part_records import PartResult
+from kc2spice.scene.scene_classes import BuiltScene, Part, PartType, find_flows
 
 PARTS_PACKAGE = "kc2spice.parts"
 SHARED_MODULE_SUFFIX = "_types"  # suffix of the names of modules that define several part types
@@ -48,7 +49,7 @@ def find_current_into(part: Part, pin: str, build: BuiltScene) -> PartResult | N
 
 
 def find_flow_into(part: Part, pin: str, build: BuiltScene) -> PartResult | None:
-    """Return the flow into a pin: the sum of the flows out of the other parts there.
+    """Return the flow into a pin: the total flow out of all other parts on its net.
 
     Return None if one of the other parts is a body, or has no result for the flow at the pin.
     """
@@ -78,19 +79,21 @@ def compute_pin_forces(build: BuiltScene, waves: Waveforms) -> Mapping[tuple[str
     """
 
     def compute_all_forces() -> tuple[BuiltScene, Waveforms, dict[tuple[str, str], np.ndarray]]:
-        """Return the build, its waves, and the forces [N] of all parts, keyed by pin."""
+        """Return the built scene, its waveforms, and all forces [N] by part and pin."""
         result = {}
         for name, part in build.scene.parts.items():
             for pin, force in part.type.forces(part, build, waves).items():
                 result[name, pin] = force
-        # The cache key contains the ids of the build and of the waves.
+        # The cache key contains the Python ids of the objects ``build`` and ``waves``.
         # Python may reuse the ids of deleted objects, so the cached tuple keeps both objects alive.
         return build, waves, result
 
     return build.workspace.get_or_compute("forces", (id(build), id(waves)), compute_all_forces)[2]
 
 
-# Names of methods in version 0.2.0, which would have no effect, keyed to the present names.
+# Present name of each method that was renamed after version 0.2.0, keyed by the old name.
+# A part type that defines a method under its old name is rejected, because the method would never
+# be called.
 _RENAMED_METHODS = {
     "directions": "pin_directions",
     "discretisation": "describe_discretisation",
@@ -186,7 +189,7 @@ def list_type_names() -> tuple[str, ...]:
 
 @cache
 def _list_modules() -> Mapping[str, str]:
-    """Return the full names of the modules of part types, keyed by module name."""
+    """Return the import path of each part-type module, keyed by short module name."""
     result: dict[str, str] = {}
     for family in pkgutil.iter_modules(import_module(PARTS_PACKAGE).__path__, f"{PARTS_PACKAGE}."):
         modules = pkgutil.iter_modules(import_module(family.name).__path__)

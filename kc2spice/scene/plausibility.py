@@ -13,16 +13,27 @@ import numpy as np
 from pydantic import BaseModel
 
 from kc2spice.core.errors import UsageError
-from kc2spice.core.quantities import PLAUSIBLE_MASS, PlausibleRange
-from kc2spice.core.schemas import get_plausible_range
+from kc2spice.core.quantities import (
+    PLAUSIBLE_MASS,
+    USUAL_RESULTS,
+    PlausibleRange,
+    UsualRange,
+)
+from kc2spice.core.schemas import get_plausible_range, get_usual_range
 from kc2spice.core.si_prefix_format import format_quantity
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.scene.checks import Check
 
 if TYPE_CHECKING:
-    from kc2spice.scene.model import BuiltScene, Scene
+    from kc2spice.scene.scene_classes import BuiltScene, Scene
 
 
-class ImplausibleError(UsageError):
+class ImplausibleValueError(UsageError):
     """Error about a possible but implausible value, often due to a wrong unit."""
+
+
+class UnusualValueError(ImplausibleValueError):
+    """Error about a value outside of its usual range, which is printed as a warning."""
 
 
 MAX_LAYER_ASPECT = 10.0  # largest plausible thickness of a layer, relative to its width
@@ -31,12 +42,21 @@ MAX_OVERHANG = 1.02
 # Ratio of voltage to rated voltage above which the check fails. Above a ratio of 1, the check
 # warns.
 BREAKDOWN_RATIO = 10.0
-# A value below this multiple of its upper limit probably has the right unit. A wrong SI prefix
-# would change the value by a factor of 1000.
+# A value of less than MISTAKEN_UNIT_RATIO times its upper limit probably has the right unit.
+# A wrong SI prefix, such as M instead of k, would change the value by a factor of 1000.
 MISTAKEN_UNIT_RATIO = 2.0
 LOWEST_DRIVE_RATIO = 1e-4  # ratio of voltage to rated voltage below which the check warns
 _MICRO_UNITS = ("F", "H")  # units in which the prefix mega is rare
 _ALTERNATIVE_UNITS = {"m": {"mm": 1e-3, "um": 1e-6}, "kg": {"g": 1e-3, "mg": 1e-6, "ug": 1e-9}}
+# usual units of values that were probably typed without a unit
+_USUAL_UNITS = _ALTERNATIVE_UNITS | {
+    "m2": {"cm2": 1e-4, "mm2": 1e-6},
+    "m3": {"l": 1e-3, "cm3": 1e-6},
+    "m/N": {"mm/N": 1e-3, "um/N": 1e-6},
+    "m/s2": {"mm/s2": 1e-3},
+    "F": {"nF": 1e-9, "pF": 1e-12},
+    "H": {"mH": 1e-3, "uH": 1e-6},
+}
 
 
 def check_range(
@@ -52,7 +72,9 @@ def check_range(
         fitting = next((name for name, size in units if low < value * size <= high), None)
         if high < value < MISTAKEN_UNIT_RATIO * high:
             fitting = None  # a value that is only slightly too large has the right unit
-        meant = format_quantity(value * dict(units).get(fitting or "", 1.0), unit).replace("µ", "u")
+        proposal = format_quantity(value * dict(units).get(fitting or "", 1.0), unit).replace(
+            "µ", "u"
+        )
         limit = high if value > high else low
         micro = format_quantity(1e-12 * value, unit).replace("µ", "u")
         # the user probably typed M (mega) instead of u (micro)
@@ -62,26 +84,50 @@ def check_range(
         else:
             verb = "lower" if value > high else "raise"
             advice = f"{verb} the value to {format_quantity(limit, unit)}"
-        yield ImplausibleError(
+        yield ImplausibleValueError(
             f"this value is {'larger' if value > high else 'smaller'} than plausible: {why}",
             where=where,
             got=format_quantity(value, unit),
             expected=f"{format_quantity(low, unit)} to {format_quantity(high, unit)}",
-            hint=f'did you mean "{meant}"?' if fitting else advice,
+            hint=f'did you mean "{proposal}"?' if fitting else advice,
         )
 
 
+def check_usual_range(
+    where: str, value: float, usual: UsualRange, hint: str | None = None
+) -> Iterator[UsageError]:
+    """Yield an error, printed as a warning, if a value is outside of its usual range.
+
+    ``hint`` is the proposed action; by default, another unit is proposed.
+    """
+    if not value or usual.low <= value < usual.high:
+        return
+    units = _USUAL_UNITS.get(usual.unit, {}).items()
+    fitting = next((name for name, size in units if usual.low < value * size < usual.high), None)
+    if hint is None and fitting:
+        hint = f'a number without a unit is in {usual.unit}: did you mean "{value:g} {fitting}"?'
+    yield UnusualValueError(
+        f"{'smaller' if value < usual.low else 'larger'} than usual: {usual.why}",
+        where=where,
+        got=format_quantity(value, usual.unit),
+        hint=hint,
+    )
+
+
 def check_plausible_values(where: str, keys: BaseModel) -> Iterator[UsageError]:
-    """Yield an error for each key whose value is outside of its plausible range.
+    """Yield an error for each key outside of its plausible or usual range.
 
     Values in lists and in inner tables are also checked.
     """
     for name, field in type(keys).model_fields.items():
-        yield from _check_value(f"{where}.{name}", get_plausible_range(field), getattr(keys, name))
+        ranges = get_plausible_range(field), get_usual_range(field)
+        yield from _check_value(f"{where}.{name}".lstrip("."), *ranges, getattr(keys, name))
 
 
-def _check_value(where: str, role: PlausibleRange | None, value: Any) -> Iterator[UsageError]:
-    """Yield an error for each implausible number in the value of one key.
+def _check_value(
+    where: str, plausible: PlausibleRange | None, usual: UsualRange | None, value: Any
+) -> Iterator[UsageError]:
+    """Yield an error for each implausible or unusual number in the value of one key.
 
     The value is a number, a list or a table.
     """
@@ -89,9 +135,15 @@ def _check_value(where: str, role: PlausibleRange | None, value: Any) -> Iterato
         yield from check_plausible_values(where, value)
     elif isinstance(value, tuple):
         for k, item in enumerate(value):
-            yield from _check_value(f"{where}.{k}", role, item)
-    elif isinstance(value, float) and value and role is not None:
-        yield from check_range(where, value, role.unit, role.low, role.high, role.why)
+            yield from _check_value(f"{where}.{k}", plausible, usual, item)
+    elif isinstance(value, float) and value:
+        errors: list[UsageError] = []
+        if plausible is not None:
+            role = plausible
+            errors += check_range(where, value, role.unit, role.low, role.high, role.why)
+        if usual is not None and not errors:
+            errors += check_usual_range(where, value, usual)
+        yield from errors
 
 
 def check_layers(
@@ -179,15 +231,43 @@ def check_model_masses(build: BuiltScene) -> Iterator[UsageError]:
             )
 
 
+def check_usual_results(waves: Waveforms, build: BuiltScene) -> Iterator[Check]:
+    """Yield a violated check for each unit whose results leave their usual range.
+
+    The check reports the result that exceeds the range most. The linear responses of an ``ac`` or
+    ``noise`` analysis are not checked, because their amplitudes may be arbitrary.
+    """
+    scene = build.scene
+    if scene.analysis.is_small_signal or scene.checks.plausible == "off":
+        return
+    for usual in USUAL_RESULTS:
+        extremes: list[tuple[float, float, float, str]] = []
+        for name, unit in build.results.units.items():
+            values = waves.data.get(name)
+            if unit != usual.unit or values is None or not values.size:
+                continue
+            ends = ((usual.low, float(values.real.min())), (usual.high, float(values.real.max())))
+            extremes += [(value / limit, value, limit, name) for limit, value in ends]
+        ratio, value, limit, name = max(extremes, default=(0.0, 0.0, 0.0, ""))
+        if ratio > 1:
+            advice = f"{usual.why}: check the values and units of the scene"
+            label = f"usual range of {name}"
+            yield Check(label, abs(value), abs(limit), usual.unit, advice, "warn")
+
+
 def apply_check_action(errors: Iterable[UsageError], action: str) -> Iterator[UsageError]:
     """Yield errors, print them as warnings, or ignore them, depending on ``action``.
 
     The ``action`` ``"fail"`` yields the errors, ``"warn"`` prints the errors, and ``"off"`` ignores
-    the errors.
+    the errors. An :class:`UnusualValueError` is never yielded, but printed as a warning.
     """
     if action == "off":
         return
     for item in errors:
+        if isinstance(item, UnusualValueError):
+            hint = item.hint or "is the unit right?"
+            warnings.warn(f"{item.where}: {item.got} is {item.message}; {hint}", stacklevel=2)
+            continue
         if action == "warn":
             warnings.warn(f"{item.where}: {item.got}: {item.message}", stacklevel=2)
             continue

@@ -11,10 +11,10 @@ from dataclasses import replace
 
 from kc2spice.core.domains import ACOUSTIC
 from kc2spice.core.errors import UsageError, did_you_mean, unknown
-from kc2spice.scene.model import BuiltScene, Part, Scene
 from kc2spice.scene.net_formation import list_metered_pins, list_power_input_pins
-from kc2spice.scene.resolve import add_equilibrium_and_results, resolve
+from kc2spice.scene.part_method_calls import add_equilibrium_and_results, resolve
 from kc2spice.scene.results import collect_results, find_noise_output
+from kc2spice.scene.scene_classes import BuiltScene, Part, Scene
 
 
 def require_probed_results(build: BuiltScene) -> None:
@@ -43,7 +43,7 @@ def require_probed_results(build: BuiltScene) -> None:
     known = {*results.vectors, *results.powers}
     for name, probe in scene.probes.items():
         owner, dot, _ = probe.of.partition(".")
-        # a name without a dot, such as time, is the name of a scale
+        # a name without a dot, such as time, is the independent variable of the analysis
         if (dot or owner in scene.parts) and probe.of not in known and owner not in waiting:
             raise _make_unknown_result_error(
                 build, probe.of, scene.where(f"probes.{name}.of"), waiting
@@ -55,15 +55,15 @@ def require_probed_results(build: BuiltScene) -> None:
                 where=scene.where(f"probes.{name}.of"),
                 got=f"{probe.of} in {unit}",
                 expected="a result in Pa, such as the pressure of a listener",
-                hint='use a result in Pa, or another key take, such as take = "max"',
+                hint='use a result in Pa, or another value of the key `take`, such as take = "max"',
             )
 
 
 def _require_noise_output(build: BuiltScene, waiting: Collection[str]) -> None:
     """Raise an error for an unknown output of a noise analysis.
 
-    If the part of the output is in ``waiting``, the output is not checked, because the model of the
-    part is not built yet.
+    If the output belongs to a part in ``waiting``, the output is not checked, because the model of
+    the part is not built yet.
     """
     name, where = str(build.scene.analysis.output), build.scene.where("analysis.output")
     owner, parts = name.partition(".")[0], build.scene.parts
@@ -127,7 +127,7 @@ def _select_names_with_prefix(names: Iterable[str], prefix: str) -> list[str]:
 
 
 def _suggest_result(name: str, choices: Sequence[str]) -> str | None:
-    """Suggest a result with a similar name: ``r2.v`` if ``name`` is ``r2.voltage``."""
+    """Suggest a result with a similar name, such as ``r2.v`` for ``r2.voltage``."""
     near = list(filter(name.startswith, choices))
     near = near or _select_names_with_prefix(choices, f"{name}.")[:1]
     return f"did you mean {max(near, key=len)!r}?" if near else None
@@ -136,8 +136,8 @@ def _suggest_result(name: str, choices: Sequence[str]) -> str | None:
 def _list_results(build: BuiltScene, waiting: Collection[str]) -> list[str]:
     """Return the names of all results that a probe may read.
 
-    The names include motions at ports that are not joined. The names also include currents and
-    powers that are measured only if a probe reads the current or power.
+    The names include motions at ports that are not joined to a net. The names also include currents
+    and powers that are measured only if a probe reads the current or power.
     """
     scene = resolve(replace(build.scene, ports="all"))
     results = collect_results(add_equilibrium_and_results(replace(build, scene=scene), waiting))

@@ -1,8 +1,8 @@
 """Results, dc sweep and noise output of a scene.
 
 The results are quantities of parts, and the flows and powers that probes read. Each result is
-computed from vectors of the netlist. :func:`kc2spice.scene.resolve.add_results_and_sources` calls
-the functions of this module.
+computed from vectors of the netlist. The function
+:func:`kc2spice.scene.part_method_calls.add_results_and_sources` calls the functions of this module.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ import numpy as np
 from kc2spice.core.domains import FLOW_SYMBOLS, Domain
 from kc2spice.core.errors import UsageError, unknown
 from kc2spice.core.quantities import convert_quantity
-from kc2spice.netlist.powers import PowerTerm
+from kc2spice.netlist.power_waveforms import PowerTerm
 from kc2spice.scene.keys import list_schema_keys
-from kc2spice.scene.model import BuiltScene, Part
 from kc2spice.scene.net_formation import list_metered_pins, list_power_input_pins
 from kc2spice.scene.part_records import DcSweep, PartResult, Powers, SceneResults, SweptSource
+from kc2spice.scene.scene_classes import BuiltScene, Part
 from kc2spice.scene.settings import Analysis
 
 # Name of the spectral density of the output noise, and of the metric with the rms noise.
@@ -136,7 +136,7 @@ def _collect_across_quantity(part: Part, build: BuiltScene) -> dict[str, PartRes
 
 
 def collect_powers(build: BuiltScene, known: Collection[str]) -> dict[str, Powers]:
-    """Return the terms whose sum is each probed power of a part or pin, by name.
+    """Collect the terms that add up to each probed power, keyed by result name.
 
     The power [W] of a source is positive if the source delivers it. The power of any other part is
     positive if the part absorbs it.
@@ -235,6 +235,6 @@ def _require_sweep_ends(selected: Analysis, unit: str) -> tuple[float, float]:
             where="analysis.to",
             got=f"{first:g} … {last:g} {unit}",
             expected="two values",
-            hint="write different values for the keys from and to",
+            hint="write different values for the keys `from` and `to`",
         )
     return first, last

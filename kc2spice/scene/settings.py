@@ -14,12 +14,12 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import (
-    Acceleration,
     Charge,
     Count,
     Frequency,
     GateLength,
     GateTime,
+    Gravity,
     Place,
     Ratio,
     RefinementRule,
@@ -62,8 +62,10 @@ class RomKeys(Section):
         lt=1,
         validate_default=True,
         description=(
-            "Largest permitted relative error of the reduced model in the frequency band; "
-            "by default 1e-4 or 1e-3 (`kc2spice explain` prints the value for each body)"
+            "Largest permitted relative error of the reduced model in the frequency band. "
+            "Default for most bodies: 1e-3 in an ac or noise analysis if the scene has no table "
+            "`rom` for the body, 1e-4 in all other cases. Some bodies have other defaults: "
+            "`kc2spice explain` prints the value for each body"
         ),
     )
     band: tuple[Frequency, Frequency] = Field(
@@ -77,8 +79,9 @@ class RomKeys(Section):
     norm: Literal["pointwise", "peak"] | None = Field(
         None,
         description=(
-            "Norm of the reduced model's error: pointwise or peak; by default peak if all "
-            "ports are signals, otherwise pointwise"
+            "Norm of the reduced model's error. pointwise: relative to the response at each "
+            "frequency; peak: relative to the largest response in the band. Default: peak if "
+            "every port is only a signal input or a signal output, otherwise pointwise"
         ),
     )
 
@@ -129,8 +132,9 @@ class SolverKeys(Section):
     """Keys of ngspice settings, which are written to the deck."""
 
     # Limit 1e-7: with a smaller tolerance, rounding errors prevent convergence in ngspice.
+    # Limit 1e-12: below 1e-14, which two retries reach, ngspice stops with too small time steps.
     reltol: Annotated[Ratio, RefinementRule(0.1, finest=1e-7)] = Field(
-        1e-4, gt=0, lt=1, description="Relative error tolerance of ngspice (option RELTOL)"
+        1e-4, ge=1e-12, lt=1, description="Relative error tolerance of ngspice (option RELTOL)"
     )
     chgtol: Annotated[Charge, RefinementRule(0.1, finest=1e-14)] = Field(
         1e-8,
@@ -152,8 +156,9 @@ class SolverKeys(Section):
     ringing: Literal["followed", "coarse"] | None = Field(
         None,
         description=(
-            "Time resolution of body vibrations. The value coarse needs fewer time steps "
-            "than followed, but is accurate only for the motion of other parts"
+            "Time resolution of body vibrations: `followed` or `coarse`. With `coarse`, a run "
+            "needs fewer time steps than with `followed`, but is accurate only for the motion of "
+            "parts other than bodies"
         ),
     )
     method: Literal["trap", "gear"] = Field(
@@ -214,12 +219,19 @@ class CheckActions(Section):
             "clips, or if ac amplitudes exceed the limits of a driver"
         ),
     )
-    plausible: Action = Field("fail", description="Action if the value of a key is implausible")
+    plausible: Action = Field(
+        "fail",
+        description=(
+            "Action if the value of a key is implausible; unusual values and results only cause "
+            "warnings, unless the action is off"
+        ),
+    )
     reduction: Action | None = Field(
         None,
         description=(
-            "Action if the estimated error of a metric exceeds `error_budget`, or 1e-2 "
-            "without this key. Default: warn if `error_budget` is stated, otherwise off"
+            "Action if the estimated error of a metric exceeds its limit. The limit is "
+            "`error_budget`, by default 1e-2. Default action: warn if `error_budget` is stated, "
+            "otherwise off"
         ),
     )
     start: Action = Field(
@@ -276,24 +288,25 @@ class ErrorLimits(Section):
         1e-4,
         gt=0,
         description=(
-            "Largest permitted difference of a sphere's position between any two solutions "
-            "of an impact, relative to the sphere's travel"
+            "Largest permitted difference of a sphere's position between any two of three "
+            "solutions of an impact: ngspice, equations of the reduced model, full model. The "
+            "difference is relative to the sphere's travel"
         ),
     )
     rebound_velocity: Ratio = Field(
         5e-5,
         gt=0,
         description=(
-            "Largest permitted relative difference of a sphere's rebound velocity between "
-            "any two solutions of an impact"
+            "Largest permitted relative difference of a sphere's rebound velocity between any two "
+            "of three solutions of an impact: ngspice, equations of the reduced model, full model"
         ),
     )
     separation_time: GateTime = Field(  # type: ignore[assignment]
         default="1.5 ns",
         gt=0,
         description=(
-            "Largest permitted difference between the times at which an impact ends in "
-            "any two solutions"
+            "Largest permitted difference of the time at which an impact ends, between any two of "
+            "three solutions: ngspice, equations of the reduced model, full model"
         ),
     )
     energy: Ratio = Field(
@@ -376,8 +389,8 @@ class ErrorLimits(Section):
         3e-5,
         gt=0,
         description=(
-            "Largest permitted difference of the magnetic force between the table in the "
-            "netlist and a spline, relative to the largest force"
+            "Largest permitted difference of the magnetic force between the table in the netlist "
+            "and the spline from which the table is computed, relative to the largest force"
         ),
     )
     field: Ratio = Field(
@@ -427,7 +440,7 @@ class Analysis(Section):
         default_factory=_choose_default_scale,
         description=(
             "Spacing of the frequencies of an ac or noise analysis; only a linear range can "
-            "begin at 0 Hz"
+            "begin at 0 Hz. Default: linear if the key `start` is missing, otherwise log"
         ),
     )
     output: str | None = Field(
@@ -445,8 +458,9 @@ class Analysis(Section):
     back: bool | None = Field(
         None,
         description=(
-            "Whether a dc sweep returns from its last value to its first value; the "
-            "points of the sweep are numbered in the order of computation"
+            "Whether a dc sweep returns from its last value to its first value. Results then "
+            "contain most swept values twice, once in each direction; the points of a result are "
+            "numbered in the order of computation"
         ),
     )
 
@@ -478,13 +492,14 @@ class Analysis(Section):
 class ProbeKeys(Section):
     """Keys of a probe: the result that it reads, and the value that becomes a metric.
 
-    ``argmax`` is the frequency, time or swept value at which the result is largest.
-    ``value`` is the value of the result at the frequency, time or swept value ``at``. ``frequency``
-    is the mean frequency of the cycles in the last half of the run. ``spl`` is the sound pressure
-    level in dB re 20 uPa in gases and 1 uPa in liquids. In an ac analysis, ``spl`` is the level at
-    the frequency ``at``, or without ``at`` the largest level. In a transient, ``spl`` is the level
-    of the rms pressure. A probe reads the magnitudes of complex values. The keys ``from`` and
-    ``to``, or ``periods``, restrict a probe to a window, such as the steady state.
+    ``argmax`` is the frequency, time or swept value at which the result is largest. ``value`` is
+    the value of the result at the frequency, time or swept value that the key ``at`` states.
+    ``frequency`` is the mean frequency of the cycles in the last half of the run. ``spl`` is the
+    sound pressure level in dB re 20 uPa in gases and 1 uPa in liquids. In an ac analysis, ``spl``
+    is the level at the frequency ``at``. If the key ``at`` is missing in an ac analysis, ``spl`` is
+    the largest level. In a transient, ``spl`` is the level of the rms pressure. A probe reads the
+    magnitudes of complex values. The keys ``from`` and ``to``, or ``periods``, restrict a probe to
+    a window, such as the steady state.
     """
 
     of: str = Field(
@@ -509,9 +524,8 @@ class ProbeKeys(Section):
     ] = Field(
         "max",
         description=(
-            "Value that the probe computes from the result; `value` is the result at the "
-            "frequency, time or swept value `at`, and `spl` the sound pressure level in "
-            "dB"
+            "Value that the probe computes from the result. `value`: the result at the frequency, "
+            "time or swept value that the key `at` states. `spl`: the sound pressure level in dB"
         ),
     )
     at: Place | None = Field(
@@ -524,8 +538,8 @@ class ProbeKeys(Section):
     level: Ratio | None = Field(
         None,
         description=(
-            "Level in the SI unit of the result. The probe returns where the result first "
-            "crosses this level; requires take = crossing"
+            "Level in the SI unit of the result. The probe returns the time, frequency or swept "
+            "value at which the result first crosses this level; requires take = crossing"
         ),
     )
     from_: Place | None = Field(
@@ -560,6 +574,7 @@ class ProbeKeys(Section):
 
     @model_validator(mode="after")
     def _require_consistent_keys(self) -> Self:
+        """Reject contradictory keys of a probe."""
         for take, key in (("value", "at"), ("crossing", "level")):
             present = getattr(self, key) is not None
             if key == "at" and self.take == "spl":
@@ -567,10 +582,10 @@ class ProbeKeys(Section):
             if self.take == take and not present:
                 hint = f"add  {key} = VALUE  to this probe"
                 raise make_invalid_value_error(
-                    f'{key} is missing with take = "{take}"', f"the key {key}", hint=hint
+                    f'{key} is missing with take = "{take}"', f"the key `{key}`", hint=hint
                 )
             if self.take != take and present:
-                hint = f"delete take = {self.take!r}" if key == "at" else f"delete the key {key}"
+                hint = f"delete take = {self.take!r}" if key == "at" else f"delete the key `{key}`"
                 problem = f'{key} has no effect with take = "{self.take}"'
                 raise make_invalid_value_error(problem, f'{key} with take = "{take}"', hint=hint)
         window = (self.from_, self.to, self.periods)
@@ -605,9 +620,7 @@ class SceneKeys(Section):
         pattern=rf"^{_PRINTABLE_CHARACTER}*$",
         description="Title of the scene, in one line",
     )
-    gravity: Acceleration = Field(
-        9.81, description="Gravitational acceleration, positive downwards"
-    )
+    gravity: Gravity = Field(9.81, description="Gravitational acceleration, positive downwards")
     error_budget: Ratio | None = Field(
         None,
         gt=0,

@@ -8,18 +8,20 @@ from itertools import chain
 
 from kc2spice.core.domains import HEAT, TRANSLATION, Domain
 from kc2spice.core.errors import UsageError
-from kc2spice.scene.model import GROUND, Scene
 from kc2spice.scene.net_formation import DisjointGroups
 from kc2spice.scene.part_records import EquilibriumConditions
+from kc2spice.scene.scene_classes import GROUND, Scene
 
-Pairs = tuple[tuple[str, str], ...]  # pairs of pins of one part
+# Pairs of pins of one part. Between the pins of a pair, the part conducts a steady flow, such as a
+# force or heat.
+Pairs = tuple[tuple[str, str], ...]
 
 
 @dataclass(frozen=True)
 class FloatingNets:
     """Group of nets without a path to the reference, whose values drift together.
 
-    ``nets`` are the floating nets of displacements. A sphere has no floating displacement net,
+    ``nets`` are the displacement nets of the group. A sphere has no floating displacement net,
     because the pins of a sphere are a velocity and signals. ``parts`` are the parts with a pin on
     the nets, and ``bodies`` are the bodies among these parts. ``domain`` is the domain of the pins.
     In the thermal and acoustic domains, a temperature or a pressure floats instead of a
@@ -37,7 +39,7 @@ def find_floating_nets(
 ) -> tuple[FloatingNets, ...]:
     """Return the groups of floating nets, in the order of the scene.
 
-    A part whose model is not built yet is treated as a clamp.
+    A body whose model is not built yet counts as supported, so its nets do not float.
     """
     return tuple(
         _describe_group(group, scene) for group in _list_floating_groups(scene, conditions)
@@ -47,8 +49,8 @@ def find_floating_nets(
 def find_rigid_groups(scene: Scene, without: str = "") -> list[frozenset[str]]:
     """Return the groups of nets that ideal displacement sources connect rigidly.
 
-    The source named ``without`` is ignored. A net that no ideal source connects to another net is a
-    separate group.
+    The source whose name is the argument ``without`` is ignored. A net that no ideal source
+    connects to another net is a separate group.
     """
     conditions = scene.equilibrium_conditions
     conditions.pop(without, None)
@@ -64,7 +66,7 @@ def find_start_errors(
     mass jump. A velocity jump requires an infinite force, so that the computed motion would depend
     on the time step.
 
-    A part whose model is not built yet is treated as an elastic clamp.
+    A body whose model is not built yet counts as supported, so its nets do not float.
     """
     for group in _list_floating_groups(scene, conditions):
         floating = _describe_group(group, scene)
@@ -88,7 +90,7 @@ def _list_position_errors(
     scene: Scene,
     conditions: Mapping[str, EquilibriumConditions],
 ) -> Iterator[UsageError]:
-    """Yield errors about floating displacement nets that have no operating point."""
+    """List errors about displacement nets whose position no support determines."""
     kind, path_to_reference = scene.analysis.type, result.domain.path_to_reference
     inertial_parts = [
         name for name, rest in conditions.items() if rest.inertial_pins and name in result.parts
@@ -106,12 +108,12 @@ def _list_position_errors(
         )
     elif forces and scene.analysis.is_small_signal:
         yield UsageError(
-            f"{part_name} has no support against a constant force, so it has no operating point "
-            f"for the linear analysis",
+            f"{part_name} has no support, but a constant force acts on {part_name}, so the linear "
+            f"analysis has no operating point",
             where=part_name,
             got=forces,
             expected=f"no constant force, or {path_to_reference}",
-            hint="delete the key `dc` of the source, or set weight = false",
+            hint="delete the key `dc` of the source of the force, or set weight = false",
         )
     elif forces and result.bodies:
         yield UsageError(
@@ -144,11 +146,13 @@ def _list_storage_errors(
     scene: Scene,
     conditions: Mapping[str, EquilibriumConditions],
 ) -> Iterator[UsageError]:
-    """Yield errors about thermal or acoustic nets that have no operating point.
+    """List errors about nets whose stored heat or volume has no operating point.
 
-    Except in ``op`` and ``dc`` analyses, a net without a constant flow is allowed, because its
-    stored heat or volume stays constant. Heat flows from the losses of a part count as constant
-    flows, because losses depend on the operating point.
+    In ``op`` and ``dc`` analyses, each net without a path to its reference is an error. In all
+    other analyses, a net without a path to its reference is an error only if a constant flow enters
+    the net. Without a constant flow, the heat or volume that is stored in the net stays constant.
+    The heat from losses of a part counts as a constant flow, because losses at the operating point
+    may be nonzero.
     """
     kind, domain = scene.analysis.type, result.domain
     losses = [name for (name, pin), net in scene.nets.items() if pin == HEAT and net in group]
@@ -190,15 +194,16 @@ def _list_velocity_jump_errors(
         if driven and len(sides) > 1 and all(map({"0", *inert}.intersection, sides)):
             yield part.wrong(
                 rest.jump_key,
-                f"this displacement makes the velocity of {driven[0]} jump",
+                f"this displacement makes the velocity of {driven[0]} jump, although "
+                f"{driven[0]} has inertia",
                 got=f"{driven[0]} fixed to {part.name}",
-                expected="a spring or an elastic body between both parts",
+                expected=f"a spring or an elastic body between {driven[0]} and {part.name}",
                 hint=f'use kind = "force", or join {driven[0]} to {part.name} by a spring',
             )
 
 
 def _map_nets_to_units(scene: Scene) -> dict[str, str]:
-    """Map each net that needs a path to its reference to the unit of its pins."""
+    """Map nets to pin units; include only nets that need a path to a reference."""
     result = {"0": ""}
     for key, terminal in scene.terminals.items():
         if terminal.needs_path:
@@ -207,7 +212,7 @@ def _map_nets_to_units(scene: Scene) -> dict[str, str]:
 
 
 def _group_nets(scene: Scene, pairs_of_parts: Iterable[tuple[str, Pairs]]) -> list[frozenset[str]]:
-    """Group the nets that are connected by pairs of pins.
+    """Group the nets that are linked by paths between two pins of a part.
 
     Pairs of pins on nets that need no path to a reference, such as electrical nets, are ignored.
     """

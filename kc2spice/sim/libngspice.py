@@ -30,7 +30,7 @@ from kc2spice.core.install_commands import make_install_command
 from kc2spice.core.untrusted_files import split_lines
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.scope import INCLUDES
+from kc2spice.netlist.name_scopes import INCLUDES
 from kc2spice.scene.part_records import SampledSource
 from kc2spice.sim.ngspice import convert_to_waves, read_partial_waves
 from kc2spice.sim.output import find_alteration_error, find_run_failure, read_raw, read_statistics

@@ -28,7 +28,7 @@ from kc2spice.core.untrusted_files import explain_unsafe_name
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.expression import split_terms
-from kc2spice.netlist.spelling import format_number
+from kc2spice.netlist.number_and_name_spelling import format_number
 from kc2spice.scene.checks import Check, Verdict, require_passed
 from kc2spice.sim.output import (
     FailedRunError,
@@ -148,8 +148,9 @@ def run_deck(
     ------
     MissingToolError : ngspice is not installed.
     FailedRunError : ngspice failed, stopped early, or ignored or replaced a card in a deck that is
-        not trusted. The error message states cause, node, time and part of the failure, and the
-        directory that contains ``NAME.log``. The error contains the waveforms up to the failure.
+        not trusted. The error message states the cause, the node and the time of the failure, the
+        part that failed, and the directory that contains ``NAME.log``. The error contains the
+        waveforms up to the failure.
     UsageError : even with the largest time step, the run would write more than ``MAX_RAW_BYTES``
         bytes.
     SimulationError : the run exceeds ``timeout``, or the raw file is incomplete or too large. The
@@ -198,19 +199,26 @@ def run_deck(
 
 def _reject_large_deck(deck: Deck) -> None:
     """Reject a deck whose raw file would be too large even with the largest time step."""
-    step = deck.max_step
-    if not step or deck.stop is None:
-        return
-    size = 8.0 * (1 + len(deck.saved_vectors)) * deck.stop / step
-    if size > MAX_RAW_BYTES:
+    step, size = deck.max_step, _estimate_raw_bytes(deck)
+    if step and deck.stop is not None and size > MAX_RAW_BYTES:
+        action = "raise solver.max_step, lower the end time, or save fewer vectors"
+        if deck.step_reason:
+            action = f"lower the end time; what needs short steps is {deck.step_reason}"
         raise UsageError(
             "the waveforms of this run exceed the size limit",
             where=deck.main_file_name,
             got=f"about {size:.2g} bytes: {1 + len(deck.saved_vectors)} vectors at "
             f"{deck.stop / step:.2g} points",
             expected=f"at most {MAX_RAW_BYTES:.2g}",
-            hint="raise solver.max_step, lower the end time, or save fewer vectors",
+            hint=action,
         )
+
+
+def _estimate_raw_bytes(deck: Deck) -> float:
+    """Return the smallest possible size [byte] of a transient's raw file, otherwise 0."""
+    if not deck.max_step or deck.stop is None:
+        return 0.0
+    return 8.0 * (1 + len(deck.saved_vectors)) * deck.stop / deck.max_step
 
 
 def _run_ngspice(
@@ -304,9 +312,9 @@ def read_partial_waves(
 def convert_to_waves(deck: Deck, vectors: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Convert ngspice vectors to the results of a deck in SI units, keyed by name.
 
-    The results are computed from the ngspice ``vectors``. The first result is the scale
-    (independent variable), which is called ``time``, ``frequency`` or ``sweep``. The scale of a
-    sweep is also in SI units: a swept displacement is in metres, although its source is in um.
+    The results are computed from the ngspice ``vectors``. The first result is the independent
+    variable, which is called ``time``, ``frequency`` or ``sweep``. The swept values are also in SI
+    units: a swept displacement is in metres, although its source is in um.
 
     Raises
     ------
@@ -374,9 +382,10 @@ class RetrySetting:
 
 FIRST_SETTING = RetrySetting("the scene's own settings", (), "")
 # These retry settings were tested with the kick scene and contact penalties of 1e11 and 1e12 N/m.
-# With both contact penalties, the scene's own settings fail with "timestep too small".
+# Without a retry setting, the kick scene fails at 1e11 and 1e12 N/m with "timestep too small".
 # Runs with larger pivot thresholds succeed, and take 1.2 to 2 times the CPU time per time point.
-# Runs with only Gear integration, tighter tolerances or more iterations fail.
+# With the default pivot thresholds, Gear integration, tighter tolerances or more iterations do not
+# prevent the failure of the kick scene.
 # With larger pivot thresholds, Gear integration also damps the rounding noise.
 # Rounding noise slows the trapezoidal rule down.
 # The error of Gear integration per step is about twice the error of the trapezoidal rule.
@@ -450,10 +459,11 @@ class RetriesFailedError(SimulationError):
 
 
 def _join_suggestions(violated: Iterable[Check]) -> dict[str, Any]:
-    """Return scene keys and values that would prevent the violated checks.
+    """Return scene keys and values with which a run would pass the violated checks.
 
-    Violations due to large time steps are omitted. If another violation cannot be prevented by
-    keys, the dictionary is empty.
+    The dictionary contains no suggestions for checks that are violated because of large time steps.
+    The returned dictionary is empty if a check without suggested keys is violated for a reason
+    other than large time steps.
     """
     result: dict[str, Any] = {}
     for check in violated:
@@ -523,6 +533,12 @@ def run_with_retries(
         if failure.cause is None:
             return RunOutcome(tried, waves, verdict, tuple(attempts))
         following = next((item for item in left if failure.kind in item.cures), None)
+        # shorter time steps could make the raw file too large
+        if (
+            following
+            and _estimate_raw_bytes(following.combine(setting).apply(deck)) > MAX_RAW_BYTES
+        ):
+            following = None
         if following is None or len(attempts) > retries:
             vain = [f"{a.setting} ({a.settings})" for a in attempts[1:]]
             hints = [

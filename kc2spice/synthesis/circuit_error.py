@@ -17,11 +17,11 @@ import numpy as np
 from kc2spice.core.domains import ACCELERATION, TRANSLATION
 from kc2spice.core.errors import GateMissedError, SimulationError
 from kc2spice.netlist.circuit import Circuit, Pin
-from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.nodal import NodalCircuit
-from kc2spice.rom.entry_scales import EntryScales, get_min_relative_divisor
+from kc2spice.netlist.subcircuit_library import Subcircuit
 from kc2spice.rom.linear_model import LinearModel, Norm, Port
 from kc2spice.rom.response import DirectResponse, Response, drop_points_near_poles, sample_band
+from kc2spice.rom.transfer_function_error_scales import EntryScales, get_min_relative_divisor
 from kc2spice.synthesis.heat_netlist import is_heat_model
 
 # displacement [m] for 1 V on a displacement pin, and charge [C] for 1 V on a charge node
@@ -31,14 +31,15 @@ LOWEST_FREQUENCY_RATIO = 1e-6
 GRID_POINTS = 40  # number of points of the linear grid, and of the logarithmic grid
 POINTS_PER_DECADE = 3  # number of points per decade at frequencies below both grids
 FLANK_HALF_WIDTHS = (0.0, 1.0)  # distances of compared frequencies from a resonance, in half-widths
-# Number of frequencies with the largest errors near which additional frequencies are compared.
+# Additional frequencies are compared near the REFINED_PEAKS frequencies with the largest errors.
 # Near each frequency with a large error, PEAK_FREQUENCIES frequencies are compared.
 REFINED_PEAKS = 4
 PEAK_FREQUENCIES = 9
 # largest permitted product of the squared number of unknowns and the number of frequencies
 MAX_WORK = 4e8
 MIN_FREQUENCIES = 24  # smallest number of compared frequencies, for the largest circuits
-# Errors below NEGLIGIBLE_SHARE times the tolerance are negligible: error estimates have two digits.
+# Circuit errors of at most NEGLIGIBLE_SHARE times the tolerance are neglected, because they hardly
+# change the two printed digits of an error estimate.
 NEGLIGIBLE_SHARE = 0.01
 # Number of times that the matrices are randomly rounded, to find the largest effect of rounding.
 # Circuit errors up to PERTURBATION_SPREAD times the largest effect of rounding count as rounding
@@ -67,7 +68,7 @@ def estimate_circuit_error(
 
     The ``norm`` defines the divisor of the difference, as described in
     :class:`kc2spice.rom.linear_model.Certificate`. The ports have the unit loads of
-    :func:`kc2spice.synthesis.realize.make_unit_load_cards`. The compared response of an
+    :func:`kc2spice.synthesis.model_to_subcircuit.make_unit_load_cards`. The compared response of an
     acceleration port is the force into its pin.
 
     Parameters
@@ -157,7 +158,11 @@ def accelerates_frame(port: Port) -> bool:
 
 
 def _make_unit_load(port: Port) -> dict[str, float]:
-    """Return one SI unit of load at a port, keyed by its node or clamping source."""
+    """Return a load of one SI unit at a port, as a dictionary with one entry.
+
+    If a flow drives the port, the dictionary key is the node of the port. Otherwise, the dictionary
+    key is the current of the source that clamps the port.
+    """
     node = port.terminals[0].lower()
     unit = (
         port.domain.get_quantity(port.domain.input_side).pin_value_per_si_unit
@@ -175,14 +180,15 @@ def _get_response_vector(port: Port) -> str:
 
 def _find_accelerated_mass(model: LinearModel, port: Port) -> float:
     """Return the mass [kg] that an acceleration port moves; zero for other ports."""
-    return compute_reaction_mass(model, port) if accelerates_frame(port) else 0.0
+    return compute_body_mass(model, port) if accelerates_frame(port) else 0.0
 
 
-def compute_reaction_mass(model: LinearModel, port: Port) -> float:
-    """Return the mass [kg] that an acceleration pin moves.
+def compute_body_mass(model: LinearModel, port: Port) -> float:
+    """Compute the mass [kg] of a body from the response at its acceleration port.
 
     The mass is the value ``mass_kg`` of the model. If the model does not state ``mass_kg``, the
-    mass is C A B, because at high frequencies ``y'' = C A B a`` with the acceleration a.
+    mass m is ``C A B``. At high frequencies, the force ``m a - y''`` at the pin vanishes, because
+    the body does not follow the acceleration a. The output y then fulfils ``y'' = C A B a``.
     """
     known = model.facts.get("mass_kg")
     if known is not None:
@@ -242,8 +248,8 @@ def require_circuit_tolerance(part: Subcircuit, model: LinearModel, tolerance: f
     """Raise an error if the error estimate of a part's circuit exceeds the tolerance.
 
     The function only prints a warning if rounding of the model's matrices changes the response as
-    much as the circuit error does. In that case, rounding errors of the matrices limit the accuracy
-    of every circuit.
+    much as the circuit error does. No circuit of a model can be more accurate than the rounding
+    errors of the model's matrices allow.
 
     Raises
     ------
@@ -260,8 +266,8 @@ def require_circuit_tolerance(part: Subcircuit, model: LinearModel, tolerance: f
     if share <= PERTURBATION_SPREAD * estimate_rounding_effect(model, frequency):
         warnings.warn(
             (
-                f"{part.name}: error estimate {got}: rounding errors of the original "
-                "matrices cause an error of the same size"
+                f"{part.name}: the error estimate is {got}; rounding errors of the original "
+                "matrices cause an error as large, so that no circuit is more accurate"
             ),
             stacklevel=2,
         )

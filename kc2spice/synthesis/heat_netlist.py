@@ -26,18 +26,19 @@ import scipy
 from kc2spice.core.domains import THERMAL
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.circuit import Element
+from kc2spice.netlist.number_and_name_spelling import LEAK_RATE
 from kc2spice.netlist.shared_cards import Line
-from kc2spice.netlist.spelling import LEAK_RATE
 from kc2spice.rom.heat_network import HeatLadder, find_heat_ladder
 from kc2spice.rom.linear_model import LinearModel, Port
 
-# Largest eigenvalue of K that counts as zero, relative to the largest of all eigenvalues.
-# A mode with a zero eigenvalue has no path that conducts its heat away.
+# An eigenvalue of K counts as zero up to this fraction of the largest eigenvalue.
+# The heat of a mode with a zero eigenvalue is not conducted away.
+# In the netlist, only a leak resistance removes the heat of a mode with a zero eigenvalue.
 ZERO_EIGENVALUE = 1e-13
-# Largest time constant that counts as zero, relative to the largest time constant of all modes.
+# A time constant counts as zero up to this fraction of the largest time constant of all modes.
 # A mode with a zero time constant has no heat capacity.
 ZERO_TIME = 1e-14
-# Largest factor of a mode at a port that counts as zero, relative to the largest of all factors.
+# A mode's factor at a port counts as zero up to this fraction of the largest of all factors.
 # A mode whose factors at all ports are zero is omitted.
 ZERO_SHARE = 1e-9
 _NETWORK_COMMENT = """\
@@ -77,10 +78,11 @@ def estimate_leak_share(model: LinearModel) -> float:
     """Return the largest share of heat flow through the leak of an insulated body.
 
     The share is the relative temperature error that the leak causes. In the netlist of a body
-    without a heat path, each heat capacity C has the leakage conductance ``C LEAK_RATE``. Between
-    two ports with the thermal resistance R, of which one has a prescribed temperature, the share
-    ``R C LEAK_RATE`` of the heat flow passes through the leak. The function returns the largest
-    share of all pairs of ports.
+    without a heat path, each heat capacity C has the leakage conductance ``C LEAK_RATE``. If one of
+    two ports has a prescribed temperature, the leak takes the share ``R C LEAK_RATE`` of the heat
+    flow between the ports. R is the thermal resistance between the ports, and C the heat capacity
+    of the body. The function computes the share of the leak for each pair of ports, and returns the
+    largest value.
     """
     K, E = model.pencil.make_dense().coefficients
     values, vectors = np.linalg.eigh(0.5 * (K + K.T))
@@ -103,8 +105,8 @@ def compute_heat_modes(model: LinearModel) -> HeatModes:
     """Return the modes of a heat model that its ports excite, slowest mode first.
 
     The mode shapes x satisfy ``E x = t K x`` with the time constants t. If K is singular, no path
-    conducts the heat of some modes away. A mode without a heat path has the thermal resistance of a
-    leak instead.
+    conducts the heat of some modes away. For a mode without a heat path, the thermal resistance is
+    not infinite, but the resistance of a leak that the netlist contains.
 
     Raises
     ------
@@ -186,11 +188,11 @@ def diagonalise_heat_model(model: LinearModel) -> LinearModel:
 
 
 def _separate_stored_heat(E: np.ndarray, K: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return bases of temperatures that drive no heat flow, and of all others.
+    """Separate temperature patterns that only store heat from those that conduct it.
 
-    The first basis spans the null space of K. The second basis spans the E-orthogonal complement of
-    the null space of K. The modes in one subspace are therefore independent of the modes in the
-    other subspace.
+    The first returned basis spans the null space of K. The second returned basis spans the
+    E-orthogonal complement of the null space of K. The modes in one subspace are therefore
+    independent of the modes in the other subspace.
     """
     scale = np.sqrt(np.maximum(np.diag(K), 0.0))
     scale = 1 / np.where(scale > 0, scale, 1.0)
@@ -212,8 +214,8 @@ def _make_not_passive_error(model: LinearModel, got: str) -> UsageError:
         "this model is not a passive heat model",
         where=model.name,
         got=got,
-        expected="E x' + K x = B q, y = B' x + D q with symmetric E, K and D without negative "
-        "eigenvalues",
+        expected="E dx/dt + K x = B q, y = B^T x + D q, with symmetric E, K and D without "
+        "negative eigenvalues",
         hint="E contains heat capacities, K thermal conductances; check their signs",
     )
 

@@ -13,8 +13,8 @@ from collections.abc import Iterator, Sequence
 
 from kc2spice.core.domains import AMBIENT, HEAT, THERMAL
 from kc2spice.netlist.circuit import Element, Pin
+from kc2spice.netlist.number_and_name_spelling import format_number
 from kc2spice.netlist.shared_cards import Line
-from kc2spice.netlist.spelling import format_number
 
 LOSS_NODE = "losses"  # inner node at which all heat flows meet
 METER = "Vheat"  # 0 V source that measures the heat flow into the pin ``heat``
@@ -23,7 +23,8 @@ _HEAT_COMMENT = (
     "",
     f"* Losses of the modes as heat flows, whose sum leaves by {HEAT}: 1 A is 1 W",
 )
-_SMALLEST_DAMPING = "1p"  # smallest divisor in place of the parameter ``damping``
+# lower limit of the divisor ``damping`` in the heat flows, which avoids a division by zero
+_SMALLEST_DAMPING = "1p"
 
 
 def write_heat_meter() -> Iterator[Line]:
@@ -32,8 +33,8 @@ def write_heat_meter() -> Iterator[Line]:
     yield Element.from_words(METER, HEAT, LOSS_NODE, "0")
 
 
-def write_moving_loss_card(index: int, velocity: tuple[str, str], power: float) -> Element:
-    """Return the source of the heat flow from a mode with inertia.
+def write_inertial_mode_loss_card(index: int, velocity: tuple[str, str], power: float) -> Element:
+    """Write the card of the heat source for the loss of a mode with inertia.
 
     Parameters
     ----------
@@ -46,17 +47,17 @@ def write_moving_loss_card(index: int, velocity: tuple[str, str], power: float) 
 
     Examples
     --------
-    >>> write_moving_loss_card(1, ("p1", "base"), 2e-3).expression
+    >>> write_inertial_mode_loss_card(1, ("p1", "base"), 2e-3).expression
     'damping*0.002*V(p1,base)*V(p1,base)'
     """
     square = "*".join(["V({},{})".format(*velocity)] * 2)
     return write_heat_source(index, f"damping*{format_number(power)}*{square}")
 
 
-def write_relaxing_loss(
+def write_massless_mode_loss_card(
     index: int, drives: Sequence[tuple[float, str, str]], node: tuple[str, str], power: float
 ) -> Element:
-    """Return the source of the heat flow from a mode without inertia.
+    """Write the card of the heat source for the loss of a massless mode.
 
     Parameters
     ----------
@@ -67,12 +68,12 @@ def write_relaxing_loss(
     node : tuple of str
         Nodes between which the voltage is the state of the mode.
     power : float
-        Power [W] for a difference of 1 V between the sum of the drives and the state, if the
-        parameter ``damping`` is one.
+        Power [W] that a voltage of 1 V dissipates if the parameter ``damping`` is one. The voltage
+        is the sum of the drives minus the state of the mode.
 
     Examples
     --------
-    >>> write_relaxing_loss(2, [(0.5, "a", "b")], ("q2", "base"), 3e-6).expression
+    >>> write_massless_mode_loss_card(2, [(0.5, "a", "b")], ("q2", "base"), 3e-6).expression
     '3e-06*(0.5*V(a,b)-V(q2,base))*(0.5*V(a,b)-V(q2,base))/max(damping,1p)'
     """
     sums = "+".join(f"{format_number(factor)}*V({a},{b})" for factor, a, b in drives)

@@ -12,16 +12,16 @@ import numpy as np
 from kc2spice.core.domains import ELECTRICAL, ROTATION, TRANSLATION
 from kc2spice.core.si_prefix_format import PREFIXES, get_prefix_exponent
 from kc2spice.netlist.circuit import Element
-from kc2spice.netlist.prefixes import abbreviate_number
+from kc2spice.netlist.number_and_name_spelling import format_number
+from kc2spice.netlist.scale_factors import abbreviate_number
 from kc2spice.netlist.shared_cards import Line
-from kc2spice.netlist.spelling import format_number
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.modal_models import Resonators
 from kc2spice.synthesis.circuit_error import MICRO
 from kc2spice.synthesis.heat_sources import (
     write_heat_meter,
-    write_moving_loss_card,
-    write_relaxing_loss,
+    write_inertial_mode_loss_card,
+    write_massless_mode_loss_card,
 )
 from kc2spice.synthesis.terminals import (
     OUTWARDS_COMMENT,
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 # Capacitance [F] for each state of a fast mode.
 # The capacitance converts the simulator's charge tolerance chgtol to a displacement tolerance.
 STATE_CAPACITANCE = 1e-6
-STATE_CONDUCTANCE = 1.0  # conductance [S] for the state of a massless mode
+STATE_CONDUCTANCE = 1.0  # conductance [S] from the node of a massless mode to the reference node
 EQUAL_GAIN_TOLERANCE = 1e-6  # largest relative difference of gains that count as equal
 # Value of 1 / Q of a mode below which the states are q and q + q'/w instead of q and q'/w.
 # With the states q and q'/w, ngspice (pivrel 1e-3) chooses no diagonal pivots at an operating
@@ -64,8 +64,9 @@ class StepWeights:
     The charge error of each capacitor represents an error of the motion, and time step control
     limits this charge error. Modes at or above ``full`` times the lowest mode frequency have
     capacitors of 1 uF. For slower modes, the capacitance is proportional to the frequency raised to
-    ``power``. A capacitor represents the fraction ``share`` of the clamped capacitance. The voltage
-    of the capacitor for the clamped capacitance includes the charge of the modes.
+    ``power``. In the netlist, a capacitor represents the fraction ``share`` of the clamped
+    capacitance of an electrical port. The charge that the modes generate changes the voltage of the
+    capacitor. Therefore, time step control also limits the error of the generated charge.
     """
 
     full: float
@@ -80,13 +81,13 @@ class StepWeights:
         return STATE_CAPACITANCE * np.minimum(1.0, (omega / (self.full * slowest)) ** self.power)
 
 
-# Weights for scenes in which the ringing of the body is a result.
+# Weights of a body's modes in time step control, if the results include the body's ringing.
 RINGING_WEIGHTS = StepWeights(3.0, 2, 0.01)
-# Weights for scenes in which a part is thrown.
-# These weights give the same launch velocity as RINGING_WEIGHTS, with fewer time points.
+# Weights of a body's modes in time step control, if the body throws another part.
+# THROWING_WEIGHTS give the same launch velocity as RINGING_WEIGHTS, with fewer time points.
 THROWING_WEIGHTS = StepWeights(3.0, 6, 0.01)
-# Weights for scenes in which only the motion of thrown parts is a result.
-# These weights halve the number of time points.
+# Weights of a body's modes in time step control, if only the motion of thrown parts is a result.
+# COARSE_WEIGHTS halve the number of time points.
 COARSE_WEIGHTS = StepWeights(8.0, 6, 1e-6)
 _RESONATORS_COMMENT = """\
 * Each mode of the reduced model has two integrators, q (displacement) and p (q'/omega). Both are
@@ -123,11 +124,12 @@ def write_resonators(
         C q' = C w p,    C p' = -C w q - C d p + (C s / w) sum_k g_k u_k
 
     The default ``weights`` give ``C = 1 uF min(1, (w / 3 w_1)^2)``. Time step control limits the
-    charge error, which is ``C`` times the displacement error. The capacitances of slow modes are
-    small, because slow modes hardly affect a contact, but ring long after it. If 1 / Q is below
-    :data:`LIGHT_DAMPING`, ``p_j = q_j + q_j' / w_j``, see :func:`_write_mode`. A mode without
-    inertia has only the state q with ``C q' = -G q + (G s / w^2) sum_k g_k u_k`` and
-    ``C = G d / w^2``.
+    charge error, which is ``C`` times the displacement error. A mode with a small capacitance
+    hardly limits the time steps. Slow modes hardly affect a contact, but ring long after the
+    contact has ended. Therefore, slow modes have small capacitances, so that their ringing hardly
+    limits the time steps. If 1 / Q is below :data:`LIGHT_DAMPING`, ``p_j = q_j + q_j' / w_j``, see
+    :func:`_write_mode`. A mode without inertia has only the state q with ``C q' = -G q + (G s /
+    w^2) sum_k g_k u_k`` and ``C = G d / w^2``.
     """
     order = order_observable_modes(model)
     omega, damp, gain = model.omega[order], model.damp[order], model.gain[order]
@@ -200,18 +202,18 @@ def write_losses(model: Resonators, terminals: Sequence[PortTerminal], base: str
         w, d, unit = map(float, (omega[j], damp[j], size[j]))
         if model.inertia[order[j]] > 0:
             velocity = (p, q) if d < LIGHT_DAMPING * w else (p, base)
-            yield write_moving_loss_card(index, velocity, d * (w * unit) ** 2)
+            yield write_inertial_mode_loss_card(index, velocity, d * (w * unit) ** 2)
             continue
         row = STATE_CONDUCTANCE * gain[j] / (unit * w**2)
         sources = make_mode_sources(index, row, terminals, base)
         drives = [(float(g.value), g.plus, g.minus) for g in sources if g.value]
-        yield write_relaxing_loss(index, drives, (q, base), (w**2 * unit) ** 2 / d)
+        yield write_massless_mode_loss_card(index, drives, (q, base), (w**2 * unit) ** 2 / d)
 
 
 def _describe_resonators(
     terminals: Sequence[PortTerminal], base: str, weights: StepWeights
 ) -> list[str]:
-    """Return netlist comments about the circuit equations and the reference pin."""
+    """Return netlist comments about the resonators' equations and the reference pin."""
     words: dict[str, Any] = {
         "full": weights.full,
         "power": weights.power,

@@ -9,8 +9,8 @@ from itertools import product
 import numpy as np
 
 from kc2spice.netlist.circuit import Element, Param, Parameters
+from kc2spice.netlist.number_and_name_spelling import format_number
 from kc2spice.netlist.shared_cards import Line
-from kc2spice.netlist.spelling import format_number
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.range_reduction import ModelOverRanges
 
@@ -61,7 +61,7 @@ def write_range_checks(parameters: Sequence[Param]) -> Iterator[Line]:
     for k, p in enumerate(parameters, 1):
         room = 1e-9 * (p.high - p.low)
         low, high = format_number(p.low - room), format_number(p.high + room)
-        # Within the range, the product of the differences to both ends is not negative.
+        # Within the range, (value - lower end) * (upper end - value) is not negative.
         # The operators || and && are not used, because simulators spell them differently.
         yield write_parameter_card(
             f"inside{k}", f"(({p.name}-{low})*({high}-{p.name})>=0 ? 1 : -1)"

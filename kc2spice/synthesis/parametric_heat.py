@@ -1,8 +1,8 @@
 """Subcircuits of heat networks whose elements depend on netlist parameters.
 
 The coordinates are the modes (:mod:`kc2spice.synthesis.heat_netlist`) of the model at the default
-values p_0 of the parameters. With the factors ``f_t(p)`` of :mod:`kc2spice.rom.matrix_terms`, the
-matrices in modal coordinates are
+values p_0 of the parameters. With the factors ``f_t(p)`` of
+:mod:`kc2spice.rom.parametric_heat_matrix_terms`, the matrices in modal coordinates are
 
     K(p) = diag(1 / R) + sum_t (f_t(p) - f_t(p_0)) K_t,    E(p) = diag(C) + sum_t (...) E_t.
 
@@ -21,13 +21,12 @@ from itertools import combinations
 import numpy as np
 
 from kc2spice.netlist.circuit import Element, Param
-from kc2spice.netlist.library import Header, Subcircuit
+from kc2spice.netlist.number_and_name_spelling import format_number, require_distinct
+from kc2spice.netlist.number_and_name_spelling import require_name as checked_name
 from kc2spice.netlist.shared_cards import Line
-from kc2spice.netlist.spelling import format_number, require_distinct
-from kc2spice.netlist.spelling import require_name as checked_name
-from kc2spice.rom.heat_over_ranges import HeatOverRanges
-from kc2spice.rom.matrix_terms import compute_factors
-from kc2spice.synthesis.header import write_mesh_error_text
+from kc2spice.netlist.subcircuit_library import Header, Subcircuit
+from kc2spice.rom.parametric_heat_matrix_terms import compute_factors
+from kc2spice.rom.parametric_heat_models import HeatOverRanges
 from kc2spice.synthesis.heat_netlist import (
     ZERO_SHARE,
     HeatModes,
@@ -36,18 +35,19 @@ from kc2spice.synthesis.heat_netlist import (
     write_heat_flows,
     write_heat_port_cards,
 )
+from kc2spice.synthesis.library_headers import write_mesh_error_text
+from kc2spice.synthesis.model_to_subcircuit import (
+    UNRATED,
+    list_heat_pins,
+    make_heat_header_texts,
+    make_subcircuit,
+)
 from kc2spice.synthesis.parameter_ranges import (
     RANGE_STOPS,
     sample_range,
     write_parameter_card,
     write_range_checks,
     write_range_stops,
-)
-from kc2spice.synthesis.realize import (
-    UNRATED,
-    list_heat_pins,
-    make_heat_header_texts,
-    make_subcircuit,
 )
 
 # Pattern of the parameter names that the subcircuit uses internally.
@@ -143,10 +143,10 @@ def _make_modal_network(model: HeatOverRanges, parameters: Sequence[Param]) -> _
 def _write_change(
     powers: np.ndarray, parameters: Sequence[Param], scales: np.ndarray, start: float
 ) -> str:
-    """Return the change of a product of parameter powers as text.
+    """Write the change of a product of parameter powers: the product minus ``start``.
 
-    The change is relative to the value ``start``: ``prod_k (p_k / s_k)^a_k - start``. The symbols
-    are the parameters p, the ``scales`` s and the ``powers`` a, which are -1, 0 or 1.
+    The expression is ``prod_k (p_k / s_k)^a_k - start``. The symbols are the parameters p, the
+    ``scales`` s and the ``powers`` a, which are -1, 0 or 1.
     """
     text = ""
     for p, scale, power in zip(parameters, scales, powers, strict=True):
@@ -168,11 +168,12 @@ def _remove_rounding_errors(matrix: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class _ModalNetwork:
-    """Modes of a heat model at default parameters, and changes of the matrices.
+    """Network of heat modes at default parameters, and changes of its matrices K, E.
 
-    The matrices are K and E. ``changes`` are the texts of the differences ``f_t(p) - f_t(p_0)``.
+    ``changes`` are the texts of the differences ``f_t(p) - f_t(p_0)``.
     ``stiff`` and ``stored`` are the matrices K_t and E_t by which the ``changes`` are multiplied.
-    ``stiff`` and ``stored`` have the shape (changes, modes, modes).
+    ``stiff`` and ``stored`` have the shape (n, modes, modes), with one matrix for each of the n
+    texts in ``changes``.
     """
 
     modes: HeatModes

@@ -18,17 +18,17 @@ from kc2spice.core.domains import ACOUSTIC, ELECTRICAL, ROTATION, THERMAL, TRANS
 from kc2spice.core.errors import UsageError
 from kc2spice.core.si_prefix_format import format_quantity
 from kc2spice.netlist.circuit import Element, Param, Parameters
-from kc2spice.netlist.library import Header, Subcircuit
+from kc2spice.netlist.number_and_name_spelling import format_number, require_distinct
+from kc2spice.netlist.number_and_name_spelling import require_name as checked_name
 from kc2spice.netlist.shared_cards import Line
-from kc2spice.netlist.spelling import format_number, require_distinct
-from kc2spice.netlist.spelling import require_name as checked_name
-from kc2spice.rom.heat_over_ranges import HeatOverRanges
+from kc2spice.netlist.subcircuit_library import Header, Subcircuit
 from kc2spice.rom.linear_model import LinearModel, Port
+from kc2spice.rom.parametric_heat_models import HeatOverRanges
 from kc2spice.rom.range_reduction import ModelOverRanges
 from kc2spice.rom.resonators_over_ranges import ResonatorsOverRanges
 from kc2spice.rom.soft_support import SOFT_SUPPORT
 from kc2spice.synthesis.circuit_error import MICRO
-from kc2spice.synthesis.header import write_mesh_error_text
+from kc2spice.synthesis.library_headers import write_mesh_error_text
 from kc2spice.synthesis.mode_cards import (
     RINGING_WEIGHTS,
     StepWeights,
@@ -37,6 +37,7 @@ from kc2spice.synthesis.mode_cards import (
     find_largest_gains,
     make_mode_sources,
 )
+from kc2spice.synthesis.model_to_subcircuit import DAMPING_PARAMETER, UNRATED, make_subcircuit
 from kc2spice.synthesis.parameter_ranges import (
     RANGE_STOPS,
     list_parameters,
@@ -46,7 +47,6 @@ from kc2spice.synthesis.parameter_ranges import (
     write_range_stops,
 )
 from kc2spice.synthesis.parametric_heat import RESERVED_BY_HEAT, make_heat_range_subcircuit
-from kc2spice.synthesis.realize import DAMPING_PARAMETER, UNRATED, make_subcircuit
 from kc2spice.synthesis.terminals import (
     PortTerminal,
     Transconductance,
@@ -202,10 +202,12 @@ def require_parametric_form(ports: Iterable[Port], parameters: Sequence[str], na
     unsupported = [port.name for port in ports if not heat and port.domain not in _DOMAINS]
     if unsupported:
         raise UsageError(
-            "a model with parameters has ports that are not electrical, mechanical, rotational or "
-            "acoustic",
+            (
+                "in a model with parameters, ports must be electrical, mechanical, rotational or "
+                "acoustic"
+            ),
             where=name,
-            got=", ".join(unsupported),
+            got=f"ports of other kinds: {', '.join(unsupported)}",
             hint="delete rom.parameters, or leave these ports open",
         )
     for parameter in parameters:
@@ -353,8 +355,11 @@ class _PortAndModeWriter:
     """Writer of the cards for the ports and modes of a model with parameters.
 
     ``rom``, the model at the default values of the parameters, determines how the states are
-    scaled, as in :func:`kc2spice.synthesis.realize.subcircuit`. The equation for the rate of state
-    p_i of mode i is::
+    scaled, as in :func:`kc2spice.synthesis.model_to_subcircuit.subcircuit`. The states of mode i
+    are q_i and p_i, its scale is s_i, and its natural frequency is w_i [rad/s]. For the inputs u_k,
+    the gains g_ik, the stiffness k_ij and the damping e_ij, the current into the capacitor C of
+    state p_i
+    is::
 
         C p_i' = -C / w_i sum_j (s_i / s_j) (k_ij q_j + e_ij w_j p_j) + (C s_i / w_i) sum_k g_ik u_k
     """
@@ -385,9 +390,9 @@ class _PortAndModeWriter:
             at += size
 
     def _connect_port(self, k: int, t: PortTerminal) -> PortTerminal:
-        """Connect a port to the sources of its output, and return the changed terminal.
+        """Return the terminal of a port, with the sources that form the port's output.
 
-        ``t`` is the terminal of port k.
+        ``t`` is the terminal of port k before the sources of its output are added.
         """
         if not t.port.electrical:
             sums = list[Transconductance]()
@@ -422,8 +427,8 @@ class _PortAndModeWriter:
     def _write_rate_source(self, i: int, k: int) -> Iterator[Transconductance]:
         """Yield the source that adds the rate of a mode to the output of a port.
 
-        The rate is ``w p`` of mode i, and the port has the number k. Nothing is yielded if the gain
-        of the mode at the port is zero.
+        The rate of mode i is the product of its angular frequency w and its state p; k is the
+        number of the port. Nothing is yielded if the gain of the mode at the port is zero.
         """
         if self.model.gain[:, i - 1, k].any():
             rate = (

@@ -3,7 +3,8 @@
 The time step control of the simulator resolves every mode that rings. A contact also excites modes
 above the band of the reduction. In a time step ``h``, the error of the trapezoidal rule for a mode
 with the angular frequency ``w`` is ``(w h)^3 / 12``, relative to the amplitude. While the mode
-rings, the time steps are therefore ``(12 reltol)^(1/3) / w`` for the relative tolerance ``reltol``.
+rings, the time steps are therefore ``(12 * reltol)^(1/3) / w`` for the relative tolerance
+``reltol``.
 Without damping, the ringing lasts until the end of the run.
 """
 
@@ -20,7 +21,7 @@ from kc2spice.core.si_prefix_format import format_quantity
 from kc2spice.netlist.deck import Deck
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.modal_models import compute_resonators
-from kc2spice.scene.model import BuiltScene
+from kc2spice.scene.scene_classes import BuiltScene
 
 # Natural logarithm of the ratio of the initial amplitude to the amplitude at which ringing ends.
 LOG_AMPLITUDE_RATIO = math.log(1e3)
@@ -80,9 +81,9 @@ def estimate_ringing(
     -------
     RingingEstimate or None
         Number of time points and CPU time; None if the modes of the model are unknown. The number
-        of time points is ``sum_i w_i (t_i - t_{i-1}) / (12 reltol)^(1/3)``, with the fastest mode
-        first. Here ``t_i`` is the time until which mode i or a faster mode rings, and ``t_0`` is
-        zero.
+        of time points is ``sum_i w_i * (t_i - t_{i-1}) / (12 * reltol)^(1/3)``, with the fastest
+        mode first. In this sum, ``t_i`` is the latest time at which mode i, or any faster mode,
+        still rings. ``t_0`` is zero.
     """
     model = compute_resonators(rom)
     if model is None:
@@ -93,7 +94,8 @@ def estimate_ringing(
     omega, rate = omega[fastest], damp[fastest] / 2
     lasts = np.minimum(stop, LOG_AMPLITUDE_RATIO / np.maximum(rate, LOG_AMPLITUDE_RATIO / stop))
     until = np.array([*accumulate(lasts, max)])
-    spans = np.diff(until, prepend=0.0)  # time [s] for which each mode is the fastest ringing mode
+    # for each mode: time [s] during which the mode still rings and all faster modes have decayed
+    spans = np.diff(until, prepend=0.0)
     points = float(omega @ spans) / (12 * reltol) ** (1 / 3)
     last = omega[lasts >= stop]
     seconds = points * estimate_time_per_point(model.order)
@@ -118,10 +120,12 @@ def warn_of_long_run(build: BuiltScene, deck: Deck) -> None:
         models = [model for model in build.models.values() if isinstance(model, LinearModel)]
         seconds = points * estimate_time_per_point(sum(model.order for model in models))
         step = format_quantity(build.largest_step.step, "s", 3)
+        end = "solver.stop" if scene.analysis.stop is None else "analysis.stop"
+        larger = "A larger solver.max_step or a smaller" if scene.solver.max_step else "A smaller"
         warnings.warn(
             f"this run needs at least {points:.2g} time points and {seconds:.2g} s of CPU time, "
-            f"because its largest time step is {step} ({build.largest_step.why}). A larger "
-            f"solver.max_step or a smaller solver.stop reduces the number of points",
+            f"because its largest time step is {step} ({build.largest_step.why}). {larger} "
+            f"{end} reduces the number of points",
             stacklevel=3,
         )
 
@@ -133,7 +137,9 @@ def _warn_of_ringing(build: BuiltScene, deck: Deck) -> None:
         if not isinstance(model, LinearModel):
             continue
         drive = getattr(scene.parts[name].keys, "drive", None)
-        span = scene.stop_time - min(getattr(drive, "start", 0.0), scene.stop_time)
+        span = scene.stop_time - getattr(drive, "start", 0.0)
+        if span <= 0:  # the drive begins after the end of the run
+            continue
         result = estimate_ringing(name, model, span, deck.reltol)
         if result is not None and result.points > MANY_POINTS and result.frequency:
             warnings.warn(str(result), stacklevel=3)

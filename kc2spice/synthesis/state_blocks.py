@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kc2spice.netlist.circuit import Element
+from kc2spice.netlist.number_and_name_spelling import format_comment, format_number
 from kc2spice.netlist.shared_cards import Line
-from kc2spice.netlist.spelling import format_comment, format_number
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.synthesis.mode_cards import RINGING_WEIGHTS
 from kc2spice.synthesis.terminals import (
@@ -116,7 +116,7 @@ def write_blocks(
 
 
 def _write_input_cards(terminals: Iterable[PortTerminal], base: str) -> Iterator[Line]:
-    """Yield the resistors at noise inputs, followed by the leakage at signal inputs."""
+    """Yield resistor cards for noise inputs, then leak conductances for signal inputs."""
     inputs = [t for t in terminals if t.kind == "input"]
     for t in filter(attrgetter("is_noise"), inputs):
         yield Element.from_words(f"R{t.pins[0]}", t.pins[0], base, "1")
@@ -143,7 +143,9 @@ def _write_output_cards(t: PortTerminal, index: int, base: str) -> Iterator[Line
 def _balance_block(
     block: np.ndarray, drive: np.ndarray, omega: float
 ) -> tuple[np.ndarray, bool, np.ndarray]:
-    """Scale the states of a block; return block, whether it integrates, and scales.
+    """Scale the states of a block, and determine whether the block integrates.
+
+    Return the scaled block, whether it integrates, and the scale factors of its states.
 
     The block of a complex pair of poles becomes ``[[a, w], [-w, a]]``. The scaled states are about
     1 for a constant input of 1. ``drive`` contains the rows of B for the states of the block, and

@@ -14,21 +14,22 @@ import numpy as np
 from kc2spice.core.domains import BASE, ELECTRICAL, TRANSLATION, Domain
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.netlist.circuit import Element, Pin
+from kc2spice.netlist.number_and_name_spelling import LEAK_RATE, format_number, require_distinct
+from kc2spice.netlist.number_and_name_spelling import require_name as checked_name
 from kc2spice.netlist.shared_cards import Line
-from kc2spice.netlist.spelling import LEAK_RATE, format_number, require_distinct
-from kc2spice.netlist.spelling import require_name as checked_name
 from kc2spice.rom.linear_model import LinearModel, Port
 from kc2spice.synthesis.circuit_error import LOWEST_FREQUENCY_RATIO, MICRO, accelerates_frame
-from kc2spice.synthesis.header import list_netlist_pins
+from kc2spice.synthesis.library_headers import list_netlist_pins
 
 if TYPE_CHECKING:
     pass
 # leakage conductance [S] at a signal input, so that an input without a source is zero
 INPUT_LEAK = 1e-18
 LEAK_POINTS = 60  # number of frequencies in the search for the smallest charge per volt
-# Ratio of an entry of D to the largest entry in its row below which it counts as a rounding error.
+# An entry of D counts as a rounding error if its ratio to the largest entry in its row is below
+# CROSS_ROUNDING.
 CROSS_ROUNDING = 1e-13
-# Value of the product C B, relative to its terms, below which C B counts as zero.
+# The product C B counts as zero if its value, relative to its terms, is below NEGLIGIBLE_JUMP.
 # If C B is not zero, the rate of an output jumps when an input jumps.
 NEGLIGIBLE_JUMP = 1e-9
 INNER_NODE_PATTERN = r"tick|(inner|current|charge)\w*|sum\d+|[qpz]\d+|noise\d+"
@@ -113,10 +114,10 @@ class PortTerminal:
 
     ``column`` is the number of the port's column in the matrix B, and ``row`` the number of its row
     in the matrix C. ``clamped`` is the clamped capacitance [F] of the port. If ``capacitance`` is
-    not empty, this expression replaces the value of ``clamped``. The sources in ``sums`` add the
-    states to the output of the port. The sources in ``through`` add the inputs of ports to the
-    output of the port. The names of the port's nodes end with ``tag``. ``leak`` is the leakage
-    conductance [S] between the pins.
+    not empty, this expression replaces the value of ``clamped``. The sources in ``sums`` add a
+    weighted sum of the states to the output of the port. The sources in ``through`` add a weighted
+    sum of the port inputs to the output of the port. The names of the port's nodes end with
+    ``tag``. ``leak`` is the leakage conductance [S] between the pins.
     """
 
     port: Port
@@ -152,7 +153,7 @@ class PortTerminal:
 
     @property
     def source_letter(self) -> str:
-        """Letter in the names of the sources by which the port drives the states.
+        """Letter after ``G`` in the names of a port's sources: ``f``, ``s`` or ``v``.
 
         The letter is ``f`` for a flow, ``s`` for the acceleration of a frame, and ``v`` otherwise.
         """
@@ -205,7 +206,8 @@ class StateNodes:
 
     The model is ``z' = A z + B u``, ``y = C z + D u`` with the states z. Each state is the voltage
     of one of the ``nodes``. The outputs y are the voltages of the output nodes of the ports.
-    ``labels`` are the ends of the names of the sources that depend on a state.
+    ``labels`` contains one name suffix for each state. The names of the controlled sources that
+    depend on a state end with its suffix.
     """
 
     nodes: Sequence[str]
@@ -231,7 +233,7 @@ def write_weighted_sources(
 ) -> tuple[Transconductance, ...]:
     """Return sources whose total current is the weighted sum of the port inputs.
 
-    ``row`` contains the weights. The label of a source consists of the letters ``mark`` and the
+    ``row`` contains the weights. The label of a source consists of the argument ``mark`` and the
     number of the input.
     """
     result = []
@@ -289,7 +291,7 @@ def make_terminals(rom: LinearModel, D: np.ndarray, where: str) -> list[PortTerm
 
 
 def _compute_pin_capacitance(domain: Domain | None, stored: Any) -> float:
-    """Return the capacitance [F] that represents the stored quantity of a port.
+    """Compute the pin capacitance [F] that represents a port's stored quantity.
 
     ``stored`` is the stored quantity, such as a charge, per unit of the across quantity in SI
     units.
@@ -427,12 +429,11 @@ class OutputSourceWriter:
             raise UsageError(
                 "netlists do not support an acceleration port that acts on states without inertia",
                 where=t.port_name,
-                got="a nonzero entry of C B in the row of the port"
+                got="an output whose rate jumps when an input jumps"
                 if jump.any()
-                else "an output of the port that jumps with an input",
+                else "an output that jumps when an input jumps",
                 expected="an acceleration port that acts only on states with inertia",
-                hint="set the rows of B and the columns of C that belong to states without inertia "
-                "to zero",
+                hint="set the rows of B and the columns of C of all states without inertia to zero",
             )
         rate = MICRO * row @ states.A
         force = -(rate @ states.B)
@@ -448,9 +449,10 @@ class OutputSourceWriter:
         """
         if direct.any():
             raise UsageError(
-                "an electrode without clamped capacitance is coupled to other ports through D",
+                "the electrode has a zero on the diagonal of D, but D couples the electrode to "
+                "other ports",
                 where=t.port_name,
-                expected="a positive semi-definite D",
+                expected="a positive semi-definite matrix D",
             )
         row = self.states.C[t.row]
         jumps = self._weigh_inputs_only(MICRO * row @ self.states.B, mark="tu")
@@ -534,11 +536,14 @@ def _write_clamped_port(t: PortTerminal, base: str, share: float) -> Iterator[Li
 
 
 def _list_pin_comment_values(t: PortTerminal, base: str) -> dict[str, str]:
-    """Return pin names and units for the netlist comment about a port, keyed by name."""
+    """Return the pin names and units that a netlist comment about a port contains."""
     return {"pin": t.pins[0], "base": base, "across": t.port.across, "flow": t.port.flow}
 
 
 def has_other_reference(domains: Iterable[Domain]) -> bool:
-    """Return whether physical domains have a reference pin other than ``base``."""
+    """Return whether all reference pins of physical domains differ from ``base``.
+
+    The result is false if no domain has a reference pin.
+    """
     references = set(map(attrgetter("reference"), domains)) - {""}
     return bool(references) and BASE not in references

@@ -7,19 +7,22 @@ limit, and the fastest settings within the error of the unchanged scene.
 
 Errors are relative to a reference run, in which every setting has its finest value. A second,
 coarser run shows how well the reference run has converged. If the scene sets a key to its finest
-value, such as a ``reltol`` of 1e-7, there is no finer run. For such a key, the change of a metric
-due to a coarser value is added to every error. For the unchanged scene, ``bench`` also computes the
-same error estimate as a run with an ``error_budget``.
+value, such as a ``reltol`` of 1e-7, there is no finer run. If a key has no finer value, the error
+of the reference run is estimated from a run with a coarser value of the key. The estimated errors
+of the reference run are added to the errors of all combinations of settings. For the unchanged
+scene, ``bench`` also computes the same error estimate as a run with an ``error_budget``.
 
 Times are medians of the simulator's CPU time. Each round runs all settings, so that a slower
 machine affects all settings equally.
 
 Errors of two keys may cancel by chance. A combination of settings is within the limit only if its
-error, and the sum of the errors of its single values, are within the limit. The metric m(own) is
-computed with the scene's settings ``own``, and m(own, k = v) with the value v of the key k. If v_k
-is the value of k in the combination, the sum of the errors is::
+error, and the sum of the errors of its single values, are within the limit. The sum of the errors
+is::
 
     bound = sum_k max_{v at least as fine as v_k} |m(own, k = v) - m(own, k = finest)| / |m(own)|
+
+where m(own) is the metric with the scene's own settings, m(own, k = v) the metric if only the key k
+has another value v, and v_k the value of k in the combination.
 """
 
 from __future__ import annotations
@@ -41,24 +44,23 @@ from kc2spice.core.files import stage_directory
 from kc2spice.core.progress import Progress, StageTimer, ignore_progress
 from kc2spice.core.waveforms import write_record
 from kc2spice.report.bench_page import write_bench
-from kc2spice.scene.model import Scene
 from kc2spice.scene.numerical_settings import (
     NumericalSetting,
     find_finest_settings,
     find_numerical_settings,
     refine_settings,
 )
+from kc2spice.scene.scene_classes import Scene
 from kc2spice.sim.ngspice import find_ngspice
-from kc2spice.workflow import refine
-from kc2spice.workflow.refine import RefinedRuns, compute_metric_changes
+from kc2spice.workflow import settings_refinement
+from kc2spice.workflow.settings_refinement import RefinedRuns, compute_metric_changes
 from kc2spice.workflow.simulation import Run
 
 DEFAULT_ERROR_LIMIT = 1e-4
-# Refinement steps of each numerical setting, from coarse to fine.
+# Numbers of refinement steps that the search tries for each numerical setting, from coarse to fine.
 REFINEMENT_STEPS = (-2.0, -1.0, -0.5, 0.0, 0.5, 1.0)
-# Refinement steps of all settings in the run that checks the reference, and in the reference run.
-CHECK_STEPS = 1.5
-REFERENCE_STEPS = 2.0
+CHECK_STEPS = 1.5  # refinement steps of all settings in the run that checks the reference run
+REFERENCE_STEPS = 2.0  # refinement steps of all settings in the reference run
 MAX_POINTS = 80  # largest number of combinations of settings that the search runs
 MAX_METRIC_CHANGE = 1e-2  # largest relative change of a converged metric at the finest settings
 # CPU time, relative to the unchanged scene, above which settings are timed only once.
@@ -67,7 +69,8 @@ SLOW_TIME_RATIO = 5.0
 # settings are chosen.
 EQUAL_TIME_RATIO = 1.05
 
-Combination = tuple[float, ...]  # refinement steps of each numerical setting
+# number of refinement steps of each numerical setting; negative numbers make a setting coarser
+Combination = tuple[float, ...]
 Errors = dict[str, float]  # error of each metric
 
 
@@ -83,7 +86,7 @@ class _TimedRun:
 
     @property
     def largest_error(self) -> float:
-        """Largest error of all metrics of the combination."""
+        """Largest error over all metrics of the combination of numerical settings."""
         return max(self.errors.values())
 
     @property
@@ -92,7 +95,7 @@ class _TimedRun:
         return statistics.median(self.times)
 
     def dominates(self, other: _TimedRun) -> bool:
-        """Return whether a combination Pareto-dominates another in error and CPU time.
+        """Return whether these settings Pareto-dominate others in error and CPU time.
 
         The combination is better in error or time, and worse in neither.
         """
@@ -107,8 +110,8 @@ class _SettingSearch:
     """Search for fast and accurate combinations of the numerical settings of a scene.
 
     Each combination of settings is one run of the scene. ``points`` contains the successful runs,
-    and ``failed`` contains the failed runs. Both are keyed by a label that lists the settings of
-    the run. ``names`` are the metrics whose errors are compared.
+    and ``failed`` contains the failed runs. The keys of ``points`` and ``failed`` are labels that
+    list the settings of a run. ``names`` are the metrics whose errors are compared.
     """
 
     def __init__(self, run: Run) -> None:
@@ -123,11 +126,12 @@ class _SettingSearch:
         self.errors_by_setting: dict[tuple[str, float], Errors] = {}
         if not self.varied_settings:
             raise UsageError(
-                "this scene has no numerical setting to vary", where=f"bench {run.build.scene.name}"
+                "this scene has no setting that bench can vary, such as a time step or a tolerance",
+                where=f"bench {run.build.scene.name}",
             )
 
     def get_steps_by_setting(self, combination: Combination) -> dict[str, float]:
-        """Return the refinement steps of a combination, keyed by the name of the setting."""
+        """Return the refinement steps of a combination of settings, keyed by setting name."""
         return dict(zip(map(attrgetter("name"), self.varied_settings), combination, strict=True))
 
     def run_uniform_refinement(self, steps: float) -> Run:
@@ -139,11 +143,11 @@ class _SettingSearch:
     @cached_property
     def errors_of_finest_settings(self) -> Errors:
         """Error of each metric due to the settings that cannot be refined further."""
-        return refine.estimate_by_coarser_runs(self.runs, {}, self.finest, self.names)
+        return settings_refinement.estimate_by_coarser_runs(self.runs, {}, self.finest, self.names)
 
     def estimate_error(self) -> dict[str, Any] | None:
-        """Estimate the errors of the scene with unchanged settings, meshes and tables."""
-        result = refine.estimate_errors(self.runs, {})
+        """Estimate the metric errors of the scene with its present settings."""
+        result = settings_refinement.estimate_errors(self.runs, {})
         if result is None:
             return None
         errors = {name: error for name, error in result.errors.items() if name in self.names}
@@ -172,8 +176,8 @@ class _SettingSearch:
     def compute_setting_errors(self, setting: NumericalSetting, steps: float) -> Errors:
         """Return the error of each metric due to one value of a setting.
 
-        All other settings have the values of the unchanged scene. The errors of a value are at
-        least the errors of every finer value.
+        All other settings have the values of the unchanged scene. If a finer value of the setting
+        has a larger error in a metric, the coarser value also gets the larger error.
         """
         if (setting.name, steps) not in self.errors_by_setting:
             finer = REFINEMENT_STEPS[bisect_right(REFINEMENT_STEPS, steps) :]
@@ -194,10 +198,11 @@ class _SettingSearch:
         return self.errors_by_setting[setting.name, steps]
 
     def compute_error_bound(self, point: _TimedRun) -> float:
-        """Return the error bound of a combination: the sum of the errors of its settings.
+        """Return the error bound of a combination of settings: the sum of their errors.
 
-        A single error is the error due to one value of the combination. The sum is computed for
-        each metric, and the result is the largest sum.
+        Each term of the sum is the error due to one setting of the combination, while all other
+        settings are unchanged. The sum is computed for each metric, and the result is the largest
+        sum.
         """
         errors = [
             *map(self.compute_setting_errors, self.varied_settings, point.combination),
@@ -206,11 +211,11 @@ class _SettingSearch:
         return max(sum(map(itemgetter(name), errors)) for name in self.names)
 
     def compute_larger_error(self, point: _TimedRun) -> float:
-        """Return the larger of a combination's measured error and its error bound."""
+        """Return the larger of measured error and error bound for combined settings."""
         return max(point.largest_error, self.compute_error_bound(point))
 
     def find_fastest(self, limit: float) -> _TimedRun | None:
-        """Return the fastest combination whose error is within a limit, or None.
+        """Return the fastest combination of settings within an error limit, or None.
 
         Of several equally fast combinations, return the most accurate one.
         """
@@ -225,8 +230,8 @@ class _SettingSearch:
         """Run simple combinations of settings, then search for the fastest combinations.
 
         In a simple combination, only one setting is changed, or all settings are refined equally.
-        One search accepts errors up to ``limit``. Another search accepts errors up to the error of
-        the unchanged scene.
+        Two searches follow: one accepts errors up to ``limit``, and the other accepts errors up to
+        the error of the unchanged scene.
         """
         origin = (0.0,) * len(self.varied_settings)
         combinations = [origin]
@@ -238,7 +243,7 @@ class _SettingSearch:
             self.run_setting(combination)
             if failed := self.failed.get(_describe_settings({})):
                 raise SimulationError(
-                    "the run with the settings of the scene differs from the reference run",
+                    "the run with the scene's settings is not comparable with the reference run",
                     where="bench",
                     got=failed["why"],
                 )
@@ -248,10 +253,10 @@ class _SettingSearch:
             self._search_neighbours(bound, progress)
 
     def _search_neighbours(self, limit: float, progress: Progress) -> None:
-        """Run coarser neighbours of the fastest combination, until none is faster.
+        """Make settings of the fastest combination coarser, until no run is faster.
 
-        If the error of no combination is within ``limit``, run finer neighbours of the most
-        accurate combination.
+        If the error of no combination of settings is within ``limit``, make settings of the most
+        accurate combination finer instead.
         """
         known = 0
         while known < (count := len(self.points) + len(self.failed)) < MAX_POINTS:
@@ -268,13 +273,13 @@ class _SettingSearch:
                     )
 
     def measure_times(self, repeats: int, progress: Progress) -> None:
-        """Measure the CPU times of all but the slow combinations by repeated runs."""
+        """Measure CPU times of all but slow combinations of settings by repeated runs."""
         longest = SLOW_TIME_RATIO * self.points[_describe_settings({})].median_time
         repeated = [point for point in self.points.values() if point.median_time <= longest]
         for turn in range(1, repeats):
             progress("times", turn / repeats, f"round {turn} of {repeats - 1}")
             for point in repeated:
-                point.times.append(refine.repeat_timing(point.run))
+                point.times.append(settings_refinement.repeat_timing(point.run))
 
     def make_record(self, point: _TimedRun) -> dict[str, Any]:
         """Return the row of a combination of settings in ``bench.json``."""
@@ -294,7 +299,7 @@ class _SettingSearch:
 
 
 def _with_steps(combination: Combination, number: int, steps: float) -> Combination:
-    """Return a copy of a combination with other refinement ``steps`` of one setting."""
+    """Replace the number of refinement steps of one setting in a combination."""
     return (*combination[:number], steps, *combination[number + 1 :])
 
 
@@ -311,9 +316,9 @@ def bench(
     """Measure error and CPU time of a scene for various numerical settings.
 
     The files ``bench.json`` and ``bench.html`` are written into ``out``. The result is the content
-    of ``bench.json``. The error of a combination is the largest relative error of the metrics
-    ``metric``. By default, ``metric`` is the value of the key ``bench.metric``, or all converging
-    metrics that are single numbers.
+    of ``bench.json``. The error of a combination of settings is the largest relative error of the
+    metrics named in ``metric``. By default, ``metric`` is the value of the key ``bench.metric``, or
+    all converging metrics that are single numbers.
 
     Raises
     ------
@@ -324,7 +329,7 @@ def bench(
     simulator = find_ngspice()
     with stage_directory(out) as work:
         progress("models", None, "the scene as it is")
-        run = refine.evaluate_scene(scene, StageTimer(), trust=trust, retries=0)
+        run = settings_refinement.evaluate_scene(scene, StageTimer(), trust=trust, retries=0)
         search, requested = _SettingSearch(run), metric or scene.bench.metric
         selected = _select_metrics(run, requested)
         progress("reference", None, "all settings at their finest")
@@ -389,8 +394,8 @@ def _measure_convergence(
 ) -> Errors:
     """Return the change of each selected metric between the two finest settings.
 
-    The converging metrics become the ``names`` of the search. With ``keep_all``, metrics that do
-    not converge are also included.
+    The names of the metrics that converge are stored in ``search.names``. With ``keep_all``,
+    metrics that do not converge are also included.
 
     Raises
     ------
@@ -430,7 +435,8 @@ def compute_metric_errors(run: Run, exact: Run, names: Sequence[str]) -> Errors:
         compared = np.nan if run_value is None else run_value
         if value.dtype.kind == "b" and not np.array_equal(compared, value):
             raise SimulationError(
-                f"the metric {name} is {run_value}, but {value} with the finest settings"
+                f"the metric {name} is {run_value} in this run, but {value} in the reference run "
+                "with the finest settings, so this run is not comparable"
             )
     result = compute_metric_changes(run, exact)
     for name in names:

@@ -1,8 +1,8 @@
 """Model of a body in the fit to its measured impedance.
 
-The full model is a finite-element model at values of the keys. All models of one fit have one mesh,
-whose nodes are displaced if the geometry varies. The admittance is therefore a smooth function of
-the keys.
+For each set of values of the fitted keys, the full model is a finite-element model with these
+values. All models of one fit have one mesh, whose nodes are displaced if the geometry varies. The
+admittance is therefore a smooth function of the keys.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from kc2spice.fem.body_keys import DampingKeys
 from kc2spice.parts.bodies._body_model import find_damping, read_loss_tangent
 from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.parts.bodies._varied_keys import VariedKey
-from kc2spice.rom.complex_constants import ComplexConstants
+from kc2spice.rom.complex_material_constants import ComplexConstants
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.modal_models import compute_clamped_tangent, compute_permittivity_ratio
 from kc2spice.rom.parametric_models import (
@@ -35,7 +35,8 @@ from kc2spice.rom.parametric_models import (
 from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.response import Response
 from kc2spice.scene.load import load_scene
-from kc2spice.scene.model import Scene
+from kc2spice.scene.scene_classes import Scene
+from kc2spice.workflow.fit_keys import name_scene_keys
 
 # Smallest assumed relative noise: the error of the mesh can exceed the noise of the data.
 MIN_NOISE = 1e-3
@@ -90,11 +91,11 @@ class BodyFit:
         return float(self.data.f[0]), float(self.data.f[-1])
 
     def make_full_model(self, values: Mapping[str, float], moved: bool = True) -> LinearModel:
-        """Return the full model for values of the keys, with one electrical port.
+        """Return the full model, with one electrical port, for values of the fitted keys.
 
         The port is the first electrical port of the body. If ``moved`` is true, the model uses the
         mesh of the scene :attr:`like`, and its nodes are moved to the new geometry. If ``moved`` is
-        false, a new mesh is made for the new geometry.
+        false, the function makes a new mesh instead of moving the nodes of an existing mesh.
 
         Raises
         ------
@@ -118,11 +119,12 @@ class BodyFit:
             return add_rayleigh_damping(self.last[key], damping)
         self.counted[0] += 1
         self.progress("fit", None, f"finite element model {self.counted[0]}")
-        if moved:
-            like = self.like.get_part(self.part, where=self.part)
-            model = part.type.make_full_model_on_mesh(part, loaded, StageTimer(), like)
-        else:
-            model = part.type.make_full_model(part, loaded, StageTimer())
+        with loaded.locate_errors(self.part):
+            if moved:
+                like = self.like.get_part(self.part, where=self.part)
+                model = part.type.make_full_model_on_mesh(part, loaded, StageTimer(), like)
+            else:
+                model = part.type.make_full_model(part, loaded, StageTimer())
         electrical = [port.name for port in model.ports if port.electrical]
         if not electrical:
             raise UsageError(
@@ -137,7 +139,7 @@ class BodyFit:
 
     def name_scene_keys(self, values: Mapping[str, float]) -> dict[str, float]:
         """Rename keys of the part to their dotted names in the scene; keep the values."""
-        return {f"{self.part}.{key}": value for key, value in values.items()}
+        return name_scene_keys(self.scene, self.part, values)
 
     def compute_full_admittance(self, values: Mapping[str, float]) -> np.ndarray:
         """Return the admittance [S] of the full model at each measured frequency."""
@@ -159,7 +161,8 @@ class BodyFit:
         """Return the admittance [S] of a reduced model with IEEE 176 complex constants.
 
         The stiffness depends on the frequency. The stiffness in the scene applies at the frequency
-        of the damping, or at the lowest resonance that a voltage excites.
+        of the key ``damping.at``. By default, the stiffness applies at the lowest resonance that a
+        voltage excites.
         """
         omega, gain, lowest = self.compute_voltage_modes(pencil)
         at = self.damping.find_ratio_frequency(lowest)
@@ -171,7 +174,7 @@ class BodyFit:
         return np.asarray(2j * np.pi * f * H)
 
     def compute_voltage_modes(self, pencil: Pencil) -> tuple[np.ndarray, np.ndarray, float]:
-        """Return the modes of a reduced model, and the lowest voltage-driven resonance.
+        """Compute modes, their voltage gains, and the lowest voltage-driven resonance.
 
         For n modes, the results are the angular frequencies [rad/s], the voltage gains (of shape
         (n, 1)), and the frequency [Hz] of the lowest resonance.
@@ -198,7 +201,7 @@ class BodyFit:
         return self.compute_lossy_admittance(charge, float(model.D[0, 0]), values)
 
     def compute_loss_factor(self, values: Mapping[str, float]) -> float:
-        """Return the mechanical loss factor ``1 / Q`` for values of the keys."""
+        """Return the mechanical loss factor ``1 / Q`` for values of the fitted keys."""
         known = {name: values[name] for name in LOSS_FACTORS if name in values}
         if not known:
             return 2 * self.damping.zeta
@@ -213,7 +216,7 @@ class BodyFit:
     def compute_lossy_admittance(
         self, charge: np.ndarray, clamped: float, values: Mapping[str, float]
     ) -> np.ndarray:
-        """Add dielectric loss to a ``charge`` without loss; return the admittance [S].
+        """Compute the lossy admittance [S]: add dielectric loss to a ``charge`` per volt.
 
         ``charge`` is the charge per volt [C/V] at :attr:`frequencies`.
         """
@@ -233,8 +236,8 @@ class BodyFit:
         """Return how each likely cause of misfit changes the logarithm of the admittance.
 
         ``Y`` [S] is the fitted admittance. The changes are keyed by the description of the cause.
-        The causes are effects that the scene can lack: losses that are not varied, and the leads of
-        the measurement.
+        The causes are losses that the fit does not vary, a different damping model, series leads,
+        stray or missing capacitance, and a parallel leak.
         """
         model, w = self.make_full_model(values, moved=False), 2 * np.pi * self.data.f
         clamped = w * float(model.D[0, 0])
@@ -271,7 +274,7 @@ class BodyFit:
     def compute_reduced_admittance(
         self, reduced: DenseParametricModel, values: Mapping[str, float]
     ) -> np.ndarray:
-        """Return the admittance [S] of a reduced model for values of the keys."""
+        """Return the admittance [S] of a reduced model for values of the fitted keys."""
         model = reduced.evaluate(values)
         if self.damping.model == "ieee176":
             return self.compute_complex_loss_response(model.pencil, values)

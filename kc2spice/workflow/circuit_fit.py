@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import OptimizeResult, least_squares
 
-from kc2spice.core.errors import SimulationError, UsageError
+from kc2spice.core.errors import SimulationError, UsageError, list_candidates
 from kc2spice.core.progress import Progress, StageTimer
 from kc2spice.equations.networks import Network
 from kc2spice.equations.scene_laws import get_scene_laws
@@ -26,11 +26,12 @@ from kc2spice.parts.bodies._varied_keys import VariedKey, read_key_values
 from kc2spice.reference.small_signal_analysis import LinearisedSystem
 from kc2spice.reference.system import assemble_system
 from kc2spice.scene.load import load_scene
-from kc2spice.scene.model import Scene
+from kc2spice.scene.scene_classes import Scene
 from kc2spice.workflow.fit_curves import MeasuredCurve
+from kc2spice.workflow.fit_keys import name_scene_keys
 from kc2spice.workflow.fit_record import describe_error, describe_values, match_resonances
 from kc2spice.workflow.misfit import WARNING_MISFIT
-from kc2spice.workflow.models import build_models
+from kc2spice.workflow.part_models import build_models
 
 # smallest assumed relative noise, because contact resistance and temperature also cause errors
 MIN_NOISE = 1e-3
@@ -39,6 +40,9 @@ MAX_EVALUATIONS = 60
 # Residual, in units of the noise, that is assigned to values that the part cannot have.
 # This large residual keeps the descent away from impossible values.
 IMPOSSIBLE_RESIDUAL = 1e4
+# Names of voltage and current of two-terminal parts. Bodies and data-sheet resonators have the
+# second pair of names.
+_IMPEDANCE_RESULTS = (("v", "i"), ("voltage", "current"))
 MISFIT_ADVICE = (
     "vary more keys, or restrict each curve by band to frequencies that the model covers"
 )
@@ -70,7 +74,7 @@ def compute_admittance(scene: Scene, part: str, frequencies: np.ndarray) -> np.n
     >>> print(compute_admittance(scene, "wire", np.array([1e3])).real)
     [0.02]
     """
-    network = _find_network(scene, part)
+    network, voltage_name, current_name = _find_network(scene, part)
     system = assemble_system(network.laws, network.joins)
     amplitudes = np.array(list(map(attrgetter("ac"), system.sources)), dtype=complex)
     rates = 2j * np.pi * np.asarray(frequencies, dtype=float)
@@ -81,7 +85,7 @@ def compute_admittance(scene: Scene, part: str, frequencies: np.ndarray) -> np.n
     for k, rate in enumerate(rates):
         linear = systems[0] if constant else LinearisedSystem(system, rate)
         waves = dict(zip(system.names, linear.respond(rate, amplitudes), strict=True))
-        voltage = network.results[f"{part}.v"].combine(waves)
+        voltage = network.results[voltage_name].combine(waves)
         if voltage == 0:
             raise UsageError(
                 "no source drives this part",
@@ -90,7 +94,7 @@ def compute_admittance(scene: Scene, part: str, frequencies: np.ndarray) -> np.n
                 expected="a source with an ac amplitude on the net of the part",
                 hint='add  ac = "1 V"  to the source',
             )
-        result[k] = network.results[f"{part}.i"].combine(waves) / voltage
+        result[k] = network.results[current_name].combine(waves) / voltage
     return result
 
 
@@ -99,25 +103,51 @@ def require_impedance(scene: Scene, part: str) -> None:
 
     Raises
     ------
-    UsageError : the part has no voltage and current, or a part of the scene has no equations.
+    UsageError : the part is a source, the part has no voltage and current, or a part of the scene
+        has no equations.
     """
+    _reject_source(scene, part)
     _find_network(scene, part)
 
 
-def _find_network(scene: Scene, part: str) -> Network:
-    """Return the network of equations that determines a part's voltage and current."""
+def _reject_source(scene: Scene, part: str) -> None:
+    """Raise an error if the part is a source, and list the parts with an impedance."""
+    if scene.get_part(part, where=part).type.name != "source":
+        return
+    names = []
+    for name, item in get_scene_laws(build_models(scene, StageTimer())).equations.items():
+        pairs = [{f"{name}.{v}", f"{name}.{i}"} for v, i in _IMPEDANCE_RESULTS]
+        is_source = name not in scene.parts or scene.parts[name].type.name == "source"
+        if not is_source and any(item.results.keys() >= pair for pair in pairs):
+            names.append(name)
+    expected = "a part with an impedance"
+    raise UsageError(
+        "a source has no impedance that can be fitted",
+        where=part,
+        got="a part of type source",
+        expected=f"{expected}: {list_candidates(part, names)}" if names else expected,
+        hint=f"fit the part {names[0]} in place of {part}"
+        if names
+        else "add the measured part to the scene",
+    )
+
+
+def _find_network(scene: Scene, part: str) -> tuple[Network, str, str]:
+    """Return the network of a part, and the names of the part's voltage and current."""
     kind = scene.get_part(part, where=part).type.name
     laws = get_scene_laws(build_models(scene, StageTimer()))
-    needed = {f"{part}.v", f"{part}.i"}
-    if part not in laws.parts_without_law and not needed <= laws.equations[part].results.keys():
+    results = laws.equations[part].results if part in laws.equations else {}
+    names = [(f"{part}.{voltage}", f"{part}.{current}") for voltage, current in _IMPEDANCE_RESULTS]
+    pair = next((pair for pair in names if results.keys() >= set(pair)), None)
+    if part not in laws.parts_without_law and pair is None:
         raise UsageError(
             "this part has no impedance",
             where=part,
             got=f"a part of type {kind}",
-            expected="a body with electrodes, or a part with the results v and i",
+            expected="a body with electrodes, or a part with a voltage and a current as results",
             hint="kc2spice explain SCENE lists the parts with their types",
         )
-    if laws.parts_without_law:
+    if laws.parts_without_law or pair is None:
         raise UsageError(
             "parts of the scene have no equations, so that no response can be fitted",
             where=part,
@@ -125,7 +155,7 @@ def _find_network(scene: Scene, part: str) -> Network:
             expected="parts with equations only",
             hint="replace these parts, such as a netlist, by resistors and sources",
         )
-    return next(network for network in laws.networks if needed <= network.results.keys())
+    return next((item, *pair) for item in laws.networks if item.results.keys() >= set(pair))
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,10 +188,14 @@ class CircuitFit:
 
     def name_scene_keys(self, values: Mapping[str, float]) -> dict[str, float]:
         """Rename keys of the part to their dotted names in the scene; keep the values."""
-        return {f"{self.part}.{key}": value for key, value in values.items()}
+        return name_scene_keys(self.scene, self.part, values)
 
     def admittance(self, curve: MeasuredCurve, values: Mapping[str, float]) -> np.ndarray:
-        """Return the admittance [S] of the part in the scene of one curve."""
+        """Compute the admittance [S] of the part under the conditions of a measured curve.
+
+        ``values`` are values of the fitted keys. The conditions of the measurement are the
+        overrides of ``curve``.
+        """
         self.counted[0] += 1
         self.progress("fit", None, f"response {self.counted[0]}")
         overrides = {**self.name_scene_keys(values), **curve.overrides}
@@ -180,7 +214,11 @@ class CircuitFit:
         return np.concatenate([result.real, result.imag])
 
     def compute_fit_residuals(self, x: np.ndarray) -> np.ndarray:
-        """Return the residuals for logarithms of key values; large for impossible values."""
+        """Compute the fit residuals at ``x``, the logarithms of the values of fitted keys.
+
+        If the scene rejects the key values, or the simulation fails, all residuals are set to the
+        large number :data:`IMPOSSIBLE_RESIDUAL`.
+        """
         try:
             return self.residuals(self.compute_key_values(x))
         except (UsageError, SimulationError):
@@ -190,7 +228,7 @@ class CircuitFit:
     def jacobian(self, x: np.ndarray) -> np.ndarray:
         """Return the derivatives of the residuals with respect to logarithms of the keys.
 
-        The result is an array of shape (2 n, keys). The derivatives are computed by one-sided
+        The result is an array of shape (2 * n, keys). The derivatives are computed by one-sided
         differences inside the range.
         """
         columns, middle, first = [], np.mean(self.bounds, axis=0), self.compute_fit_residuals(x)
@@ -205,7 +243,7 @@ class CircuitFit:
 
         Raises
         ------
-        UsageError : the scene of a curve is not valid at the first values.
+        UsageError : the scene of a curve is not valid with the start values of the keys.
         """
         values = read_key_values(self.keys)
         self.residuals(values)  # raises the error of an invalid scene before the fit
@@ -217,9 +255,10 @@ class CircuitFit:
 
 
 def fit_circuit(problem: CircuitFit, where: str) -> dict[str, Any]:
-    """Fit the keys; return the content of ``fit --json``, and the responses in it.
+    """Fit keys of a circuit to all curves; return the record with the responses.
 
-    The entry ``responses`` contains the admittances of each curve before and after the fit.
+    The entry ``responses`` contains the admittances of each curve before and after the fit. ``fit
+    --json`` prints the record without the entry ``responses``.
 
     Raises
     ------
@@ -266,7 +305,7 @@ def fit_circuit(problem: CircuitFit, where: str) -> dict[str, Any]:
 def _describe_curve(curve: MeasuredCurve, size: np.ndarray) -> dict[str, Any]:
     """Return the record of a curve, with the errors of its impedance magnitude.
 
-    ``size`` contains the relative errors of ``|Z|``.
+    ``size`` contains the relative errors of the impedance magnitude ``|Z|``.
     """
     return {
         "data": Path(curve.data.where).name,

@@ -1,4 +1,4 @@
-"""Deck of a scene from the models of its parts.
+"""Functions that write the deck of a scene from the built models of its parts.
 
 The methods of the part types supply the cards, libraries and results of the parts.
 """
@@ -18,26 +18,27 @@ from kc2spice.netlist.card_parser import split_statements
 from kc2spice.netlist.circuit import Element, Item
 from kc2spice.netlist.deck import Deck, Option
 from kc2spice.netlist.edited_deck import read_edited_deck
-from kc2spice.netlist.library import Header, Subcircuit, write_model_comments
 from kc2spice.netlist.lint import require_valid_wiring
-from kc2spice.netlist.scope import INCLUDES
+from kc2spice.netlist.name_scopes import INCLUDES
+from kc2spice.netlist.number_and_name_spelling import format_comment, format_number
 from kc2spice.netlist.shared_cards import add_title
-from kc2spice.netlist.spelling import format_comment, format_number
+from kc2spice.netlist.subcircuit_library import Header, Subcircuit, write_model_comments
 from kc2spice.netlist.transforms import add_noise_results
 from kc2spice.scene.analysis_cards import make_analysis_cards
-from kc2spice.scene.frames import MOTION_UNITS
-from kc2spice.scene.model import BuiltScene, NameAllocator, Part, Scene, compute_scene_hash
 from kc2spice.scene.numerical_settings import MAX_STEP_KEY, describe_plan
 from kc2spice.scene.part_records import NumericalRequirements
 from kc2spice.scene.probed_results import require_probed_results
+from kc2spice.scene.reference_frames import MOTION_UNITS
 from kc2spice.scene.results import NOISE_WAVE
+from kc2spice.scene.scene_classes import BuiltScene, NameAllocator, Part, Scene, compute_scene_hash
 from kc2spice.scene.start_conditions import FloatingNets, find_floating_nets, find_start_errors
-from kc2spice.workflow.edited_parts import with_edited_parameters
 from kc2spice.workflow.measure_cards import list_measure_cards
-from kc2spice.workflow.models import build_models
+from kc2spice.workflow.part_models import build_models
+from kc2spice.workflow.parts_from_edited_deck import with_edited_parameters
 
-# Inductance [H] that fixes a floating displacement at the operating point. Above 1 Hz, the force of
-# HOLD_INDUCTANCE is less than the inertia force of a mass of 1e-6 fg.
+# Inductance [H] of an inductor that fixes a floating displacement at the operating point.
+# The current of the inductor acts as a force, which is negligible above 1 Hz.
+# Above 1 Hz, the inductor's force is smaller than the inertia force of a mass of 1e-6 fg.
 HOLD_INDUCTANCE = 1e30
 
 
@@ -51,9 +52,10 @@ def prepare_deck(
 ) -> tuple[BuiltScene, Deck]:
     """Return the built scene and its deck, or the deck that the user has edited.
 
-    ``edited`` is the edited deck. Wiring errors state file and line, and are raised before the
-    simulator starts. ``functions`` are the Python functions of controllers, keyed by part. Raises
-    the errors of :func:`make_deck` and :func:`kc2spice.netlist.edited_deck.read_edited_deck`.
+    ``edited`` is the path of a deck that the user has changed by hand. Wiring errors state file and
+    line, and are raised before the simulator starts. ``functions`` are the Python functions of
+    controllers, keyed by part. Raises the errors of :func:`make_deck` and
+    :func:`kc2spice.netlist.edited_deck.read_edited_deck`.
     """
     build = build_models(scene, clock, trust=trust, functions=functions)
     with clock.time_stage("export", "netlists"):
@@ -103,6 +105,9 @@ def make_deck(build: BuiltScene) -> Deck:
         measures=list_measure_cards(build, sweep_scale),
         stop=scene.stop_time if scene.analysis.type == "transient" else None,
         max_step=build.largest_step.step if build.largest_step else None,
+        step_reason=build.largest_step.why
+        if build.largest_step and not scene.solver.max_step
+        else "",
         initial_voltages=_list_initial_voltages(build, loose),
         may_have_loop=any(_is_controller(part, scene) for part in scene.parts.values()),
         trusted=build.trust,
@@ -129,7 +134,8 @@ def _list_free_nets(scene: Scene) -> Iterator[str]:
 def _is_controller(part: Part, scene: Scene) -> bool:
     """Return whether a part measures a motion and sets a voltage or current.
 
-    A controller can close a control loop.
+    A part that measures a motion and sets a voltage or current can close a control loop, and
+    therefore counts as a controller.
     """
     measures_motion = sets_output = False
     for pin in scene.pins(part.name):
@@ -141,7 +147,7 @@ def _is_controller(part: Part, scene: Scene) -> bool:
 
 
 def _list_libraries(build: BuiltScene, header: Header) -> Iterator[tuple[Part, Subcircuit]]:
-    """Yield each different subcircuit with the first part that uses it.
+    """List all different libraries, each with the first part that uses the library.
 
     Raises
     ------
@@ -169,7 +175,10 @@ def _list_libraries(build: BuiltScene, header: Header) -> Iterator[tuple[Part, S
 def _list_deck_cards(
     build: BuiltScene, loose: Sequence[FloatingNets], noise_items: Iterable[Item]
 ) -> Iterator[Item]:
-    """Yield the cards of parts and noise sources, and supports for floating nets."""
+    """Yield the cards of parts, of noise sources, and of inductors at floating nets.
+
+    In a small-signal analysis, an inductor connects one net of each floating group to ground.
+    """
     scene = build.scene
     for part in scene.parts.values():
         cards = () if part.name in scene.without_cards else part.type.cards(part, build)
@@ -264,7 +273,8 @@ def protect_other_decks(out: Path, files: Mapping[str, str]) -> None:
     """Raise an error if a new library would change another deck in a directory.
 
     ``out`` is the directory. Decks in ``out`` that are not among ``files`` are not replaced. If a
-    library of the same name changed, a deck that is not replaced would simulate another part.
+    new library replaced a library that an existing deck includes, the deck would simulate another
+    part.
 
     Raises
     ------

@@ -21,8 +21,8 @@ from kc2spice.netlist.transforms import make_array_deck
 from kc2spice.parts.bodies._body_model import get_reduction_settings
 from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.rom.linear_model import LinearModel
-from kc2spice.scene.model import BuiltScene, Scene
-from kc2spice.scene.resolve import resolve
+from kc2spice.scene.part_method_calls import resolve
+from kc2spice.scene.scene_classes import BuiltScene, Scene
 from kc2spice.sim.ngspice import write_files
 from kc2spice.synthesis.circuit_error import require_circuit_tolerance
 from kc2spice.workflow.decks import prepare_deck, protect_other_decks
@@ -65,7 +65,7 @@ def export_scene(
             advice="leave out --count",
         )
     clock, selected = StageTimer(progress), require_solver(solver, "--solver")
-    with stage_directory(out) as work, use_solver(selected):
+    with stage_directory(out, with_hashes=True) as work, use_solver(selected):
         build, deck = prepare_deck(resolve(replace(scene, ports="declared")), clock, trust=trust)
         _require_accurate_circuits(build, deck)
         with clock.time_stage("export", "netlists and symbols"):

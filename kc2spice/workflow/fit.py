@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import nullcontext
 from operator import attrgetter
 from pathlib import Path
@@ -16,15 +16,15 @@ from kc2spice.bodies.readers.measured_admittance import (
     parse_shunt_resistance,
     read_measured,
 )
-from kc2spice.core.argument_names import naming_arguments
-from kc2spice.core.errors import UsageError
+from kc2spice.core.argument_and_option_names import use_arguments_in_errors
+from kc2spice.core.errors import NamedValues, UsageError
 from kc2spice.core.files import stage_directory
 from kc2spice.core.progress import Progress, ignore_progress
 from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.parts.bodies._varied_keys import read_key_values
 from kc2spice.report.fit_page import PlottedCurve, write_fit
 from kc2spice.scene.load import load_scene
-from kc2spice.scene.model import Scene
+from kc2spice.scene.scene_classes import Scene
 from kc2spice.workflow.body_fit import BodyFit
 from kc2spice.workflow.circuit_fit import CircuitFit, fit_circuit, require_impedance
 from kc2spice.workflow.fit_curves import read_curves
@@ -37,6 +37,7 @@ from kc2spice.workflow.fit_descents import (
 from kc2spice.workflow.fit_keys import (
     format_calibrated_ranges,
     read_varied_keys,
+    require_key_list,
 )
 from kc2spice.workflow.fit_record import describe_error, describe_values, match_resonances
 from kc2spice.workflow.misfit import (
@@ -55,7 +56,7 @@ RANGES_FILE = "box.toml"
 PAGE_FILE = "report.html"
 
 
-@naming_arguments()
+@use_arguments_in_errors()
 def fit(
     scene: Scene | str | Path | Mapping[str, Any],
     part: str,
@@ -69,10 +70,10 @@ def fit(
 
     The fit minimises the sum of squares of the real and imaginary parts of ``log(Y_model / Y)``,
     divided by the noise of the data. The unknowns are the logarithms of the values, limited to
-    their ranges. Four least-squares descents use a reduced model over the full ranges of the keys.
-    The descents begin at the values of the scene, and at the best of 64 random samples. Further
-    descents use models of narrower ranges around the best values, until the fit agrees with the
-    full model.
+    their ranges. Four least-squares fits use a reduced model that is valid in the full ranges of
+    the fitted keys. One of the four fits begins at the values of the scene, and three begin at the
+    best of 64 random samples. Further fits use reduced models that are valid in narrower ranges
+    around the best values, until the fit agrees with the full model.
 
     Standard errors are computed from the linearised problem. If the misfit exceeds the noise, the
     standard errors are multiplied by the misfit in units of the noise. If the model does not
@@ -81,7 +82,8 @@ def fit(
     warning names the likely cause.
 
     Parts without finite elements, and data of several curves, are fitted with the equations of the
-    scene (:mod:`kc2spice.workflow.circuit_fit`), by one descent from the scene's values.
+    scene (:mod:`kc2spice.workflow.circuit_fit`), by one least-squares fit that begins at the
+    scene's values.
 
     Parameters
     ----------
@@ -94,8 +96,9 @@ def fit(
         A TOML file with tables ``[[curve]]``, or a list of these tables, contains several curves
         with the keys ``file``, ``set``, ``band`` and ``predict``.
     vary : sequence of str, or mapping of str to pair of floats or None
-        Keys of the body, each with a range in SI units: ``KEY=low:high``, or a pair (low, high) in
-        a mapping. The default range is 30 % about the scene's value, or a factor of ten for losses.
+        Keys of the body, each with a range: ``KEY=low:high`` in SI units or with units, or in a
+        mapping a pair (low, high) in SI units. The default range is 30 % about the scene's value,
+        or a factor of ten for losses.
     out : Path, optional
         Directory for three files: the fitted values (``fit.toml``), parameter ranges of the netlist
         that extend two standard errors around the values (``box.toml``), and a report page. By
@@ -103,7 +106,7 @@ def fit(
     progress : callable, optional
         Called as ``progress(stage, done, text)`` during the fit.
     shunt : str or float, optional
-        Resistance in series with the part through which a gain was measured: ``"100 Ohm"``, or a
+        Resistance in series with the part in a measurement of gain and phase: ``"100 Ohm"``, or a
         number in Ohm. A table of gain and phase requires ``shunt``.
 
     Returns
@@ -136,6 +139,8 @@ def fit(
     45.000
     """
     loaded = load_scene(scene)
+    _require_measured_data(data)
+    require_key_list(vary)
     listed = _is_list_of_curves(data)
     if not listed and not isinstance(
         loaded.get_part(part, f"{loaded.name}:{part}").type, LinearBody
@@ -146,10 +151,10 @@ def fit(
     resistance = parse_shunt_resistance(shunt)
     if isinstance(data, MeasuredAdmittance) and resistance is not None:
         raise UsageError(
-            "this argument applies only to a file of gain and phase",
+            "the argument shunt applies only to a file of gain and phase",
             where="shunt",
-            got=shunt,
-            expected="data that is the path of a file",
+            got=f"shunt={shunt!r}, and measured data that are not a file",
+            expected="the path of a file of gain and phase as the argument data",
             hint="leave out shunt",
         )
     # a list of curves is already handled above
@@ -168,19 +173,38 @@ def fit(
         start = body.compute_reduced_admittance(descent.reduced_model, read_key_values(keys))
         record = _make_record(body, start, end, ends)
         if out is None:
-            return record
+            return NamedValues(record)
         _write_values(work / VALUES_FILE, record["values"])
         (work / RANGES_FILE).write_text(
             format_calibrated_ranges(part, record["parameters"]), encoding="utf-8"
         )
         plotted = PlottedCurve("Impedance", measured.f, body.Y, start, end.exact)
         write_fit(work / PAGE_FILE, record, [plotted])
-    return {
-        **record,
-        "overrides": str(Path(out) / VALUES_FILE),
-        "box": str(Path(out) / RANGES_FILE),
-        "page": str(Path(out) / PAGE_FILE),
-    }
+    files = {"overrides": VALUES_FILE, "box": RANGES_FILE, "page": PAGE_FILE}
+    return NamedValues(record | {name: str(Path(out) / file) for name, file in files.items()})
+
+
+def _require_measured_data(data: object) -> None:
+    """Raise an error if ``data`` is not a path, measured data or a list of tables."""
+    if isinstance(data, (str, Path, MeasuredAdmittance)):
+        return
+    if isinstance(data, (list, tuple)) and all(isinstance(item, Mapping) for item in data):
+        return
+    hint = 'write the path of a file, such as "data.csv"'
+    if isinstance(data, np.ndarray):
+        columns = 'delimiter=",", header="frequency_hz,real_ohm,imag_ohm"'
+        hint = f'write np.savetxt("data.csv", ARRAY, {columns}), then pass data="data.csv"'
+    elif isinstance(data, Mapping):
+        hint = "write the table in a list: data=[TABLE]"
+    elif isinstance(data, (list, tuple)):
+        hint = 'write a table for each curve, such as data=[{"file": "data.csv"}]'
+    raise UsageError(
+        "this object is neither a file of measured data nor a list of curves",
+        where="data",
+        got=f"{type(data).__name__} {data!r}"[:120],
+        expected='the path of a file, or a list of tables such as [{"file": "data.csv"}]',
+        hint=hint,
+    )
 
 
 def _is_list_of_curves(data: object) -> bool:
@@ -214,15 +238,15 @@ def _fit_curves(
         record = fit_circuit(CircuitFit(scene, part, curves, keys, progress), where)
         responses = record.pop("responses")
         if out is None:
-            return record
+            return NamedValues(record)
         _write_values(work / VALUES_FILE, record["values"])
         plotted = []
         for curve, before, after in responses:
             name = Path(curve.data.where).name
             plotted.append(PlottedCurve(name, curve.data.f, curve.Y, before, after))
         write_fit(work / PAGE_FILE, record, plotted)
-    folder = Path(out)
-    return {**record, "overrides": str(folder / VALUES_FILE), "page": str(folder / PAGE_FILE)}
+    files = {"overrides": VALUES_FILE, "page": PAGE_FILE}
+    return NamedValues(record | {name: str(Path(out) / file) for name, file in files.items()})
 
 
 def _write_values(path: Path, values: Mapping[str, float]) -> None:
@@ -243,9 +267,9 @@ def _require_one_port(measured: MeasuredAdmittance) -> None:
         )
 
 
-def _require_keys(vary: object, part: str) -> None:
+def _require_keys(vary: Collection[str], part: str) -> None:
     """Raise an error if the fit varies no key."""
-    if not vary:
+    if not len(vary):
         raise UsageError(
             "the option --vary is missing",
             where=part,
@@ -269,8 +293,8 @@ def _make_record(
             where=body.data.where,
             got=f"an rms misfit of {rms:.2g} times |Y| after {len(ends)} fits",
             expected=f"less than {MAX_MISFIT:g}",
-            hint="check the part and the unit of the frequency, then vary one key, such as a "
-            "thickness",
+            hint="check the part and the unit of the frequency, then fit only one key at a time, "
+            "such as a thickness",
         )
     best = min(ends, key=attrgetter("cost"))
     resonances = match_resonances(body.data, start, end.exact)

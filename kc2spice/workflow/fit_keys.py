@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from operator import attrgetter
 from typing import Any
 
@@ -13,19 +14,36 @@ from scipy.signal import find_peaks
 
 from kc2spice.core.errors import UsageError
 from kc2spice.parts.bodies._varied_keys import VariedKey, make_varied_key, read_number_key
-from kc2spice.scene.model import Scene
-from kc2spice.workflow.sweep.grid import parse_value
+from kc2spice.scene.scene_classes import Scene
+from kc2spice.workflow.sweep.grid import parse_value, require_equal_unit_use
 
 # Default ends of a range, relative to the value: ceramics vary by 30 %, losses by a factor of ten.
 VALUE_RANGE = 1.3
 LOSS_RANGE = 10.0
 _LOSS_KEY = re.compile(r"damping|quality|ratio|loss")
-# Smallest height of a peak, relative to the largest conductance, and relative to the noise.
+# smallest height of a peak, divided by the largest conductance
 MIN_PROMINENCE = 0.005
+# smallest height of a peak, divided by the noise of the conductance
 MIN_NOISE_RATIO = 8.0
 # Half-width of a netlist's parameter range in standard errors, and smallest relative half-width.
 RANGE_ERRORS = 2.0
 MIN_HALF_WIDTH = 1.1e-3
+
+
+def require_key_list(vary: object) -> None:
+    """Raise an error if the argument ``vary`` of a fit is not a collection of strings."""
+    is_list = isinstance(vary, Collection) and not isinstance(vary, (str, bytes))
+    if is_list and all(isinstance(key, str) for key in vary):  # type: ignore[attr-defined]
+        return
+    raise UsageError(
+        "vary is not a list of keys",
+        where="vary",
+        got=repr(vary)[:120],
+        expected='a list such as ["damping.quality"], or a mapping of keys to ranges',
+        hint=f"write vary=[{vary!r}]"
+        if isinstance(vary, str)
+        else 'for example vary=["damping.quality"]',
+    )
 
 
 def read_varied_keys(
@@ -34,21 +52,27 @@ def read_varied_keys(
     """Return the keys that the fit varies, with their ranges."""
     ends = dict(vary) if isinstance(vary, Mapping) else dict.fromkeys(vary)
     for key, span in ends.items():
-        if span is not None and not (isinstance(span, (tuple, list)) and len(span) == 2):
+        if span is not None and not _is_pair_of_numbers(span):
             raise UsageError(
-                "this text is not a range",
+                "this value is not a range",
                 where=key,
-                got=repr(span),
-                expected="two numbers in SI units, or None for the default range",
-                hint=f'write {{"{key}": (LOW, HIGH)}}',
+                got=repr(span)[:120],
+                expected="two finite numbers in SI units, or None for the default range",
+                hint=_suggest_pair(key, span),
             )
     result = []
     for text, span in ends.items():
         key, _, limits = text.partition("=")
         value, unit = read_number_key(scene.get_part(part, where=part), key, key)
         factor = LOSS_RANGE if _LOSS_KEY.search(key) else VALUE_RANGE
-        span = (_parse_range(key, limits) if limits else span) or (value / factor, value * factor)
-        result.append(make_varied_key(key, unit, value, span))
+        if limits:
+            low, high = _parse_range(key, limits, unit)
+        elif span is not None:
+            low, high = span
+        else:
+            low, high = value / factor, value * factor
+        example = f"{key}={{:g}}:{{:g}}"
+        result.append(make_varied_key(key, unit, value, (low, high), example=example))
     for name, count in Counter(map(attrgetter("key"), result)).items():
         if count > 1:
             raise UsageError(
@@ -61,19 +85,60 @@ def read_varied_keys(
     return result
 
 
-def _parse_range(key: str, text: str) -> tuple[float, float]:
-    """Parse the range of a key from text such as ``LOW:HIGH``."""
+def _is_pair_of_numbers(span: object) -> bool:
+    """Return whether an object is a tuple or a list of two finite real numbers."""
+    if not isinstance(span, (tuple, list)) or len(span) != 2:
+        return False
+    types = (int, float, np.integer, np.floating)
+    return all(
+        isinstance(end, types) and not isinstance(end, bool) and math.isfinite(end) for end in span
+    )
+
+
+def _suggest_pair(key: str, span: object) -> str:
+    """Return the advice to write the range of a key as two numbers."""
+    try:
+        low, high = map(float, span)  # type: ignore[call-overload]
+    except (TypeError, ValueError):
+        low, high = math.nan, math.nan
+    if math.isfinite(low) and math.isfinite(high):
+        return f'write {{"{key}": ({low:g}, {high:g})}}'
+    return f'write {{"{key}": (LOW, HIGH)}} with two numbers, or {{"{key}": None}}'
+
+
+def _parse_range(key: str, text: str, unit: str) -> tuple[float, float]:
+    """Parse the range of a key from text such as ``LOW:HIGH``, in an SI unit."""
     ends = text.split(":")
     if len(ends) != 2:
         raise UsageError(
             "this text is not a range",
             where=key,
             got=text,
-            expected="LOW:HIGH in SI units",
+            expected="LOW:HIGH, in SI units or with units",
             hint=f"write {key}=LOW:HIGH, two numbers with a colon between them",
         )
-    low, high = (parse_value(end, "", key) for end in ends)
+    require_equal_unit_use(ends, text, key, unit)
+    low, high = (parse_value(end, unit, key) for end in ends)
     return low, high
+
+
+def name_scene_keys(scene: Scene, part: str, values: Mapping[str, float]) -> dict[str, float]:
+    """Rename keys of a part to their dotted names in the scene; keep the values.
+
+    If the scene contains a single number in place of a list, such as ``fs = "6 kHz"`` for
+    ``fs[0]``, the name has no index.
+    """
+    result = {}
+    for key, value in values.items():
+        plain = key.removesuffix("[0]")
+        entry: Any = scene.tables.get(part)
+        for step in re.findall(r"(?<=\[)-?\d+(?=\])|\w+", plain):
+            if isinstance(entry, Mapping):
+                entry = entry.get(step)
+            else:
+                entry = entry[int(step)] if isinstance(entry, (list, tuple)) else None
+        result[f"{part}.{key if isinstance(entry, (list, tuple)) else plain}"] = value
+    return result
 
 
 def compute_log_widths(keys: Sequence[VariedKey]) -> list[float]:

@@ -1,10 +1,10 @@
 """``.meas`` cards, with which the simulator computes probes and main metrics.
 
-A card exists for each quantity of a single vector that ngspice and kc2spice compute in the same
-way. Quantities with cards are extremes with their positions, differences of extremes, means, values
-at a position, level crossings, and last values. In ``ac``, the extremes of the cards are values at
-computed points, but the metric interpolates between the points. An ``op`` has no cards: its deck
-prints the vectors.
+A ``.meas`` card computes a quantity from one simulator vector. The deck contains cards only for
+quantities that ngspice and kc2spice define in the same way. The cards compute extremes with their
+positions, differences of extremes, means, values at a position, level crossings, and last values.
+In ``ac``, the extremes of the cards are values at computed points, but the metric interpolates
+between the points. An ``op`` has no cards: its deck prints the vectors.
 
 ngspice has no card for values that are fitted to an impedance (antiresonance, Q factor,
 capacitance), frequencies of counted cycles, and windows that end between time points.
@@ -19,14 +19,15 @@ from typing import NamedTuple
 
 from kc2spice.netlist.deck import MeasureCard
 from kc2spice.netlist.expression import parse_vector as parsed
-from kc2spice.netlist.spelling import format_number
-from kc2spice.scene.model import BuiltScene, Scene
+from kc2spice.netlist.number_and_name_spelling import format_number
 from kc2spice.scene.part_records import LargestRealPartFrequency, PartResult
+from kc2spice.scene.scene_classes import BuiltScene, Scene
 from kc2spice.scene.settings import ProbeKeys
 
 _FUNCTIONS = {"max": "MAX", "min": "MIN", "peak_to_peak": "PP", "mean": "AVG", "rms": "RMS"}
 _OPPOSITE_EXTREMES = {"MAX": "MIN", "MIN": "MAX", "MAX_AT": "MIN_AT"}
-# Probe functions of a magnitude that cards and kc2spice compute in the same way.
+# Functions of a probe that a card can apply to the magnitude of a complex vector.
+# For these functions, the card and kc2spice compute the same value.
 _MAGNITUDE_FUNCTIONS = ("max", "argmax", "crossing")
 _VALID_NAME = re.compile(r"[A-Za-z]\w*")
 ANALYSIS_KINDS = {"transient": "tran", "dc": "dc", "ac": "ac", "op": "op"}
@@ -36,8 +37,8 @@ class _MeasuredVector(NamedTuple):
     """Simulator vector that a ``.meas`` card reads.
 
     ``kind`` is the ngspice name of the analysis. ``factor`` is the SI value of the vector's unit.
-    ``per_unit`` is the voltage or current of a dc sweep for one SI unit of the swept key. ``last``
-    is the end of a transient [s].
+    ``per_unit`` is the voltage or current of the swept source, divided by the value of the swept
+    key in SI units. ``last`` is the end of a transient [s].
     """
 
     kind: str
@@ -85,7 +86,9 @@ def _list_measures(
 def _find_measured_vector(
     scene: Scene, result: PartResult | None, sweep_scale: float
 ) -> _MeasuredVector | None:
-    """Return the simulator vector of a result; None if no card can read the result.
+    """Return the simulator vector that contains a result, for a ``.meas`` card.
+
+    The vector is None if no card can read the result.
 
     No card can read a sum of vectors, a sweep that returns to its first value, or a result that a
     part corrects after the run.

@@ -15,7 +15,7 @@ from kc2spice.rom.error_estimate import choose_default_norm
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.reduction import DEFAULT_MIN_TOLERANCE, Reduction
 from kc2spice.rom.reductors.registry import list_reductor_names, require_method_name
-from kc2spice.workflow.reduce_files import DEFAULT_TOLERANCE, load_full_model
+from kc2spice.workflow.reduction_of_models_from_files import DEFAULT_TOLERANCE, load_full_model
 
 
 def compare_methods(
@@ -35,7 +35,7 @@ def compare_methods(
     path : Path, str or LinearModel
         Matrices as for :func:`kc2spice.read_model`, ``SCENE:PART``, or a model.
     band, tolerance, order, norm, solver : optional
-        As for :func:`kc2spice.workflow.reduce_files.reduce_file`.
+        As for :func:`kc2spice.workflow.reduction_of_models_from_files.reduce_file`.
     progress : callable, optional
         Called as ``progress(stage, done, text)`` before each method.
 
@@ -104,7 +104,7 @@ def _load_model(path: Path | str) -> LinearModel:
     """Return the full model of a file or of a scene's body."""
     if is_measured(Path(path)):
         raise UsageError(
-            "a measurement cannot be reduced with --method",
+            "the option --method applies only to models, not to measured data",
             where="--method",
             got=path,
             expected="a file of matrices, or SCENE:PART",

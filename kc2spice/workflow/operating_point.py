@@ -13,11 +13,11 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.equations.scene_laws import SceneLaws
 from kc2spice.netlist.deck import Deck
 from kc2spice.scene.checks import Check
-from kc2spice.scene.model import BuiltScene
+from kc2spice.scene.scene_classes import BuiltScene
 from kc2spice.scene.settings import Analysis
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.workflow.decks import make_deck
-from kc2spice.workflow.models import rebuild_with_scene
+from kc2spice.workflow.part_models import rebuild_with_scene
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class OperatingPoint:
     waves: Waveforms | None = None
 
     def list_checks(self, build: BuiltScene, waves: Waveforms) -> tuple[Check, ...]:
-        """Return the checks of the operating point, and of ac amplitudes ``waves``.
+        """Return checks of the operating point, and of the amplitudes of an ac analysis.
 
         Checks that the scene turns off are left out.
         """
@@ -59,8 +59,10 @@ def find_operating_point(build: BuiltScene, deck: Deck, laws: SceneLaws) -> Oper
     # The probes are kept, because they determine the pins of a body. This run has no noise result.
     probes = {} if build.has_noise else scene.probes
     frame = scene.frame.model_copy(update={"analysis": Analysis(type="op"), "probes": probes})
-    # The highest frequency that models resolve remains the end of the frequency range.
-    # Pins and frequency-dependent models, such as models of eddy currents, therefore do not change.
+    # At the operating point, models are accurate up to the same frequency as in the small-signal
+    # analysis: the end of its frequency range.
+    # Pins and frequency-dependent models, such as models of eddy currents, are therefore equal at
+    # the operating point and in the small-signal analysis.
     resolved = replace(scene, frame=frame, resolved_frequency=scene.analysis.stop)
     try:
         deck_at_rest = make_deck(rebuild_with_scene(build, resolved))

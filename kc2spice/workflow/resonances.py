@@ -1,9 +1,9 @@
 """Additional frequencies of small-signal analyses: resonances, notches and probes.
 
-The input is an analysis command, and the equations of its scene. The output is further analyses
-around each resonance that the frequencies of the scene do not resolve. The resonances are the
-natural frequencies of the whole linear circuit, driver and load included;
-:mod:`kc2spice.reference.small_signal_analysis` states the equations of the circuit.
+The input is an analysis command, and the equations of its scene. The module returns additional
+analyses, with closely spaced frequencies, around each resonance that the frequencies of the scene
+do not resolve. The resonances are the natural frequencies of the whole linear circuit, driver and
+load included; :mod:`kc2spice.reference.small_signal_analysis` states the equations of the circuit.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from kc2spice.netlist.deck import AnalysisCommand, with_frequencies
 from kc2spice.reference.small_signal_analysis import LinearisedSystem
 from kc2spice.reference.system import assemble_system
 from kc2spice.rom.linear_model import LinearModel
-from kc2spice.scene.model import BuiltScene
+from kc2spice.scene.scene_classes import BuiltScene
 
 MAX_UNKNOWNS = 600  # the eigenvalues of systems with more unknowns would take seconds
 # Near a pole p, a response is y = R / (j w - p).
@@ -30,10 +30,11 @@ MAX_UNKNOWNS = 600  # the eigenvalues of systems with more unknowns would take s
 # Other poles change the maximum by less than 1e-4 (tests/spice/test_resonant_maxima.py).
 # Each further range is WIDENING_FACTOR times as wide, with the same number of points.
 # The ranges widen until the spacing of the scene's frequencies is reached.
-# The trapezoidal rule integrates |y|^2 over all ranges with an error of at most 2 %.
+# Around a resonance, the trapezoidal rule integrates |y|^2 with an error of at most 2 %.
 # The tests in tests/spice/test_resonant_maxima.py measure the error of the integral by
 # equipartition.
-# number of half-widths on each side of a resonance in the narrowest range
+# The narrowest frequency range around a resonance extends by this number of half-widths of the
+# resonance to each side.
 NARROWEST_HALF_WIDTHS = 4.0
 RANGE_POINTS = 33  # number of points in each range
 WIDENING_FACTOR = 4.0
@@ -42,7 +43,7 @@ MAX_RESONANCES = 100
 
 
 def list_refined_analyses(command: AnalysisCommand, laws: SceneLaws) -> tuple[AnalysisCommand, ...]:
-    """Return analyses with closely spaced frequencies near resonances and at probes.
+    """List analyses with more frequencies near resonances and at probed frequencies.
 
     ``command`` is the analysis of the scene. The frequencies that probes read become points of an
     analysis, because interpolation between two points would cause an error.
@@ -129,7 +130,7 @@ def _find_narrow_resonances(laws: SceneLaws) -> list[tuple[float, float]]:
 
 
 def _find_poles_and_zeros(laws: SceneLaws) -> np.ndarray:
-    """Find the poles of all circuits, and the zeros of responses with a minimum probe.
+    """Find the circuits' poles, and zeros of responses whose minimum a probe reports.
 
     Poles and zeros are complex numbers in 1/s. Zeros are included only in an ``ac`` analysis, for
     responses whose minimum a probe reads. For a circuit without equations, only the poles of the
@@ -158,15 +159,16 @@ def _find_poles_and_zeros(laws: SceneLaws) -> np.ndarray:
     models = [model for model in laws.build.models.values() if isinstance(model, LinearModel)]
     if models and causes:
         warnings.warn(
-            f"maxima are searched only near the natural frequencies of the reduced models, "
-            f"although the circuit can shift the resonances, because {'; '.join(causes)}",
+            "some maxima may be missed: maxima are searched only near the natural frequencies of "
+            "the reduced models, but the circuit can shift the resonances; "
+            f"cause: {'; '.join(causes)}",
             stacklevel=2,
         )
         poles += [model.poles() for model in models]
     if unknown := sorted(minima if laws.parts_without_law else minima - zeros.keys()):
         warnings.warn(
-            f"{', '.join(unknown)}: the minimum is taken at the frequencies of the scene only, "
-            f"because a part of the circuit has no equations; raise analysis.points",
+            f"the minimum of {', '.join(unknown)} is searched only at the frequencies of the "
+            f"analysis, because a part of the circuit has no equations; raise analysis.points",
             stacklevel=2,
         )
     return np.concatenate([np.zeros(0, complex), *poles, *zeros.values()])

@@ -15,21 +15,21 @@ from kc2spice.core.files import stage_directory
 from kc2spice.core.progress import Progress, StageTimer, ignore_progress
 from kc2spice.core.waveforms import write_record, write_waveforms
 from kc2spice.netlist.printers.plot_script import format_plot_script
-from kc2spice.report.figures import write_pngs
+from kc2spice.report.matplotlib_figures import write_pngs
 from kc2spice.report.probe_figure import plot_probes
 from kc2spice.report.run_page import write_run
 from kc2spice.scene import noise_analysis
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.metrics import select_sound_levels
-from kc2spice.scene.model import Scene
 from kc2spice.scene.numerical_settings import describe_plan
 from kc2spice.scene.results import NOISE_WAVE
+from kc2spice.scene.scene_classes import Scene
 from kc2spice.sim.ngspice import RetriesFailedError, Simulator, find_ngspice, write_files
 from kc2spice.synthesis.ringing_time import warn_of_long_run
 from kc2spice.workflow.decks import prepare_deck, protect_other_decks
-from kc2spice.workflow.larger_orders import suggest_keys, with_larger_orders
-from kc2spice.workflow.models import find_value_units, list_model_values, tabulate_body_modes
-from kc2spice.workflow.refine import ConvergedRun, converge_to_budget
+from kc2spice.workflow.larger_reduced_model_orders import suggest_keys, with_larger_orders
+from kc2spice.workflow.part_models import find_value_units, list_model_values, tabulate_body_modes
+from kc2spice.workflow.settings_refinement import ConvergedRun, converge_to_budget
 from kc2spice.workflow.simulation import Run, keep_failed_run, simulate_deck
 
 
@@ -132,8 +132,8 @@ def run_scene(
     ------
     UsageError : ``deck`` does not save the vectors of the scene's metrics.
     MissingToolError : ngspice is missing, which is checked before finite elements are computed.
-    SimulationError : a stage failed. Nothing was written to ``out``. The deck and its log are kept
-        in ``<out>.failed`` until a run with the same ``out`` succeeds.
+    SimulationError : a stage of the run failed, and nothing was written to ``out``. The deck and
+        its log are kept in ``<out>.failed`` until a run with the same ``out`` succeeds.
 
     Examples
     --------
@@ -203,7 +203,7 @@ def complete_run(
                 )
                 automatic |= suggested
                 scene = load_scene(scene, suggested)
-        # the refinement for an error budget also changes orders
+        # with an error budget, `converge_to_budget` instead changes the orders of reduced models
         if deck is None and scene.error_budget is None:
             result = with_larger_orders(result, work, clock)
         converged = converge_to_budget(result, clock) if deck is None else None
@@ -211,9 +211,7 @@ def complete_run(
             result = converged.run
     for check in result.verdict.checks:
         if not check.passed:
-            limit = f"limit {check.limit:.3g}: {check.advice}"
-            value = f"{check.value:.3g} {check.unit}".rstrip()
-            warnings.warn(f"check {check.name}: {value}, {limit}", stacklevel=2)
+            warnings.warn(check.violation, stacklevel=2)
     return CompletedRun(result, simulator, clock.wall_s, converged)
 
 

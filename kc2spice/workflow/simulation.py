@@ -21,11 +21,11 @@ from kc2spice.core.errors import SimulationError
 from kc2spice.core.waveforms import Waveforms, save_arrays, write_record
 from kc2spice.equations.scene_laws import SceneLaws, get_scene_laws
 from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.powers import add_powers
+from kc2spice.netlist.power_waveforms import add_powers
 from kc2spice.report.html import flatten_mapping
 from kc2spice.scene.checks import Verdict
 from kc2spice.scene.metrics import compute_metrics
-from kc2spice.scene.model import BuiltScene
+from kc2spice.scene.scene_classes import BuiltScene
 from kc2spice.sim.engines import Engine
 from kc2spice.sim.ngspice import (
     ProgressCallback,
@@ -34,8 +34,8 @@ from kc2spice.sim.ngspice import (
     run_with_retries,
     write_files,
 )
-from kc2spice.workflow.models import collect_rom_values, list_model_values
 from kc2spice.workflow.operating_point import OperatingPoint, find_operating_point
+from kc2spice.workflow.part_models import collect_rom_values, list_model_values
 from kc2spice.workflow.verdict import form_verdict
 
 PARTIAL_WAVES_FILE = "waveforms.partial.npz"
@@ -44,7 +44,7 @@ FAILURE_FILE = "failure.json"
 
 @dataclass(frozen=True)
 class Run(RunOutcome):
-    """Simulation of a scene: models, deck, waves, verdict, attempts and metrics.
+    """Simulation of a scene: models, deck, waveforms, verdict, attempts and metrics.
 
     ``units`` are the SI units of metrics by dotted name, for metrics with a unit. ``cpu_s`` is the
     CPU time [s] of the simulator including all retries.
@@ -116,7 +116,8 @@ def simulate_deck(
     timeout : float, optional
         Largest wall-clock time of one attempt in s. By default there is no limit.
     retries : int, optional
-        Largest number of further attempts. The default is ``solver.retries`` of the scene.
+        Largest number of further attempts after a failed attempt. The default number of further
+        attempts is ``solver.retries`` of the scene.
 
     Returns
     -------
@@ -148,7 +149,7 @@ def simulate_deck(
     """
 
     def check_waves(waves: Waveforms) -> Verdict:
-        """Return the verdict on waves: checks, energy balances and error limits."""
+        """Return the verdict on waveforms: checks, energy balances and error limits."""
         result = form_verdict(waves, build)
         result = replace(result, checks=(*result.checks, *point.list_checks(build, waves)))
         if deck.text is None:
@@ -192,7 +193,7 @@ def simulate_deck(
 
 
 def correct_waves(waves: Waveforms, build: BuiltScene) -> Waveforms:
-    """Return the waves, with the corrections that parts make after a run."""
+    """Return the waveforms, with the corrections that parts make after a run."""
     result = dict(waves.data)
     for part in build.scene.parts.values():
         result |= part.type.corrected_waves(part, build, waves)
@@ -223,9 +224,10 @@ def choose_engine(
 ) -> Engine:
     """Choose the engine that runs a deck of a scene.
 
-    ``laws`` are the equations of the scene. A small-signal analysis has further analyses near
-    resonances. Each analysis is a separate run if the operating point can depend on the previous
-    analysis. If Python functions set sources during the simulation, ngspice runs as a library.
+    ``laws`` are the equations of the scene. For a small-signal scene, the engine also runs analyses
+    with closely spaced frequencies near resonances. Each analysis is a separate run if the
+    operating point can depend on the previous analysis. If Python functions set sources during the
+    simulation, ngspice runs as a library.
     """
     if not laws.build.scene.analysis.is_small_signal:
         return Engine(directory, progress, timeout, sampled=laws.build.sampled_sources)
@@ -257,8 +259,8 @@ def measure_simulator_cpu(*, shared: bool) -> float:
 def keep_failed_run(work: Path, out: Path | None, scene: str) -> Iterator[None]:
     """Keep deck, logs and partial waveforms of a failed run in ``<out>.failed``.
 
-    A run that leaves the valid range of a model keeps no files, because the error states the key to
-    change.
+    If a run leaves the valid range of a model, no files are kept, because the error message already
+    names the key to change.
     """
     folder = None if out is None else _choose_failure_folder(Path(out).absolute())
     try:
@@ -286,7 +288,7 @@ def _choose_failure_folder(out: Path) -> Path:
 
 
 def _has_other_content(folder: Path) -> bool:
-    """Return whether a path exists that is not the folder of an earlier failed run."""
+    """Return whether a path exists and is not the folder of an earlier failed run."""
     is_failed_run = (folder / FAILURE_FILE).is_file() and not folder.is_symlink()
     return os.path.lexists(folder) and not is_failed_run
 

@@ -1,8 +1,8 @@
 """Heat networks for ``reduce``, from thermal transients or reduced heat models.
 
-The input is a transient with the power of its step, or a reduced heat model. The output is the
-model of a network in Foster's or Cauer's form. The certificate of a fitted model contains the
-deviation of the model from the data.
+The input is a measured response to a step of the heating power, with the power of the step, or a
+reduced heat model. The output is the model of a network in Foster's or Cauer's form. The
+certificate of a fitted model contains the deviation of the model from the data.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from kc2spice.synthesis.heat_netlist import compute_heat_modes
 JUNCTION = Port("junction", THERMAL.port)
 LARGEST_MISFIT = 0.1  # deviation (rms) above which no network is written
 # Largest fraction of the thermal resistance with time constants outside of the measured times.
-# Above WARNING_UNSETTLED_RATIO, a warning or a note is printed.
+# A larger fraction causes a warning for long time constants, and a note for short time constants.
 WARNING_UNSETTLED_RATIO = 0.01
 # rms deviation, relative to the noise, above which a warning is printed
 # Drift and rounding of instruments cause deviations of up to 1.1 times the noise.
@@ -93,8 +93,9 @@ def fit_transient_network(
 ) -> FittedTransient:
     """Fit a heat network to a measured thermal transient.
 
-    Deviations from a temperature are relative to its largest rise. Deviations from a positive
-    thermal impedance are relative to each value.
+    Deviations of the fitted temperatures from the measured temperatures are relative to the largest
+    temperature rise. If all values of a thermal impedance are positive, each deviation is relative
+    to the measured value at the same time.
 
     Raises
     ------
@@ -141,7 +142,7 @@ def fit_transient_network(
 
 
 def shape_heat_model(model: LinearModel, form: NetworkForm | None) -> LinearModel:
-    """Convert a heat model to a network form; without a form, return it unchanged.
+    """Return a heat model in a network form, or unchanged if ``form`` is None.
 
     Raises
     ------
@@ -176,18 +177,18 @@ def require_one_heat_port(model: LinearModel) -> None:
         return
     names = ", ".join(f"{port.name} ({port.kind})" for port in model.ports[:5])
     raise UsageError(
-        "this option applies only to a model with one thermal port",
+        "the option --network applies only to a model with one thermal port",
         where="--network",
         got=f"{len(model.ports)} ports: {names}",
         expected='one port with kind = "thermal"',
-        hint="leave out --network, because several ports share modes through ideal transformers",
+        hint="leave out --network; a network of only R and C cannot describe several ports",
     )
 
 
 def _make_step_samples(
     data: ThermalTransient, power: float | None
 ) -> tuple[StepSamples, Norm, tuple[str, ...]]:
-    """Return samples of the temperature rise per watt, their error norm, and notes."""
+    """Return samples of temperature rise per watt, the norm of fit errors, and notes."""
     count = max(len(data.value) // ENDS, 1)
     change = float(data.value[-count:].mean() - data.value[:count].mean())
     noise = float(np.sqrt(0.5 * np.mean(np.diff(data.value) ** 2) / count))
@@ -223,7 +224,7 @@ def _make_step_samples(
 
 
 def _find_largest_rise(samples: StepSamples, fit: TransientFit) -> float:
-    """Return the largest rise per watt [K/W] of the network, at the last sample."""
+    """Return the largest temperature rise per watt [K/W], which is at the last sample."""
     return float(fit.network.compute_step_response(samples.time[-1:])[0])
 
 

@@ -1,4 +1,4 @@
-"""Largest time step of a transient, and the effect of time steps on the waves.
+"""Largest time step of a transient, and the effect of time steps on waveforms.
 
 The error control of ngspice keeps the error of each step below a tolerance. At a resonance, the
 errors of thousands of steps add up. With steps ``h``, the trapezoidal rule reduces every natural
@@ -24,16 +24,16 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from kc2spice.core.constitutive_laws import evaluate_combinations
 from kc2spice.core.domains import DOMAINS
 from kc2spice.core.errors import SimulationError, UsageError
-from kc2spice.core.laws import evaluate_combinations
 from kc2spice.core.si_prefix_format import format_quantity
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.equations.networks import Network, get_law_name, list_pin_kinds
 from kc2spice.equations.scene_laws import get_scene_laws
 from kc2spice.scene.checks import Check, RunEnergyBalance
-from kc2spice.scene.model import BuiltScene
 from kc2spice.scene.part_records import PartResult, StepLimit
+from kc2spice.scene.scene_classes import BuiltScene
 
 if TYPE_CHECKING:
     from kc2spice.reference.small_signal_analysis import ExponentialSolution
@@ -57,10 +57,11 @@ SAMPLE_COUNT = 2500
 WINDOW_COUNT = 16
 # largest number of time points at which a run is compared with the exact solution
 MAX_COMPARED_POINTS = 30_000
-# Smallest size of a compared wave, relative to the largest wave with the same unit.
-# The iterations of ngspice do not refine waves that are smaller than MIN_RELATIVE_SIZE.
+# Smallest peak of a waveform that is compared with the exact solution, relative to the largest peak
+# of all waveforms with the same unit.
+# The iterations of ngspice do not refine waveforms with relative peaks below MIN_RELATIVE_SIZE.
 MIN_RELATIVE_SIZE = 1e-5
-# smallest size of a compared wave, keyed by unit
+# smallest peak of a waveform that is compared with the exact solution, keyed by unit
 MIN_SIZE = {"A": 1e-11, "V": 1e-6, "N": 1e-11, "m": 1e-12, "m/s": 1e-9}
 # time around jumps that is left out of comparisons, relative to the duration of the run
 EVENT_MARGIN = 1e-9
@@ -71,8 +72,9 @@ MAX_UNKNOWNS = 600  # the exact solution of circuits with more unknowns would ta
 def choose_largest_step(build: BuiltScene) -> StepLimit:
     """Return the largest time step of a transient, with the reason for it.
 
-    The result is ``solver.max_step`` if the scene sets this key. Otherwise, the result is the
-    smallest of the steps that parts, and resonances of linear circuits, require.
+    The result is ``solver.max_step`` if the scene sets this key. If the scene does not set
+    ``solver.max_step``, the result is the smallest step that a part or a resonance of a linear
+    circuit requires.
     """
     scene = build.scene
     if scene.solver.max_step is not None:
@@ -97,7 +99,9 @@ def choose_largest_step(build: BuiltScene) -> StepLimit:
 
 
 def _is_thermal_and_aperiodic(network: Network, motion: ExponentialSolution) -> bool:
-    """Return whether a network conducts heat, and has no oscillating mode at rest.
+    """Return whether a network conducts heat and has no oscillating mode.
+
+    ``motion`` is the exact solution of the network, linearised at its state of rest.
 
     Heat has no inertia, and error control resolves its time constants. The losses of electrical
     parts, and the resistances of warm conductors, change as slowly as the temperatures.
@@ -109,7 +113,7 @@ def _is_thermal_and_aperiodic(network: Network, motion: ExponentialSolution) -> 
 
 @dataclass(frozen=True)
 class LinearisedScene:
-    """Networks of a transient, linearised at rest, with their exact solutions.
+    """Networks of a scene, linearised at rest, and their exact transient solutions.
 
     The choice of the largest step, and the check of the steps after a run, use the same object. The
     object computes the eigenvalues of the networks when they are first needed.
@@ -118,7 +122,7 @@ class LinearisedScene:
     build: BuiltScene
 
     def belongs_to(self, build: BuiltScene) -> bool:
-        """Return whether a build has the same scene and the same models."""
+        """Return whether this linearisation belongs to the scene and models of ``build``."""
         return self.build.scene is build.scene and self.build.models is build.models
 
     @property
@@ -136,8 +140,8 @@ class LinearisedScene:
         return not self.parts_without_network
 
     @cached_property
-    def _joined_networks(self) -> tuple[tuple[Network, ...], tuple[str, ...]]:
-        """Networks with unknowns, and names of the parts that are in no network."""
+    def _networks_and_other_parts(self) -> tuple[tuple[Network, ...], tuple[str, ...]]:
+        """Networks with unknowns, and names of the parts that belong to no network."""
         try:
             laws = get_scene_laws(self.build)
             networks, missing = laws.networks, laws.parts_without_law
@@ -147,26 +151,28 @@ class LinearisedScene:
 
     @property
     def networks(self) -> tuple[Network, ...]:
-        """Networks that contain more than sources."""
-        return self._joined_networks[0]
+        """Networks of the scene, except networks that consist only of sources."""
+        return self._networks_and_other_parts[0]
 
     @property
     def parts_without_network(self) -> tuple[str, ...]:
         """Names of the parts that are in no network."""
-        return self._joined_networks[1]
+        return self._networks_and_other_parts[1]
 
     @cached_property
     def exact_solutions(self) -> tuple[ExponentialSolution | None, ...]:
         """Exact solution of each network; None if a network is too large or unsolvable."""
         return tuple(
-            _solve_motion(network, self.build.scene.stop_time) for network in self.networks
+            _solve_network_from_rest(network, self.build.scene.stop_time)
+            for network in self.networks
         )
 
 
 def find_linearised_scene(build: BuiltScene) -> LinearisedScene:
-    """Return the stored linearised networks of a build, or new networks.
+    """Return the linearised scene that is stored in ``build``, or make a new one.
 
-    New networks are returned if the keys or models of the build have changed.
+    A new linearised scene is made if a key or a model of ``build`` has changed since the stored
+    linearised scene was made.
     """
     known = build.linearised
     if isinstance(known, LinearisedScene) and known.belongs_to(build):
@@ -175,15 +181,15 @@ def find_linearised_scene(build: BuiltScene) -> LinearisedScene:
 
 
 def with_linearised_scene(build: BuiltScene) -> BuiltScene:
-    """Return a build that stores its linearised networks.
+    """Return a copy of a built scene that stores its linearised networks.
 
-    Stored networks are computed only once.
+    The returned copy computes each linearised network only once, when the network is first used.
     """
     return replace(build, linearised=find_linearised_scene(build))
 
 
-def _solve_motion(network: Network, stop: float) -> ExponentialSolution | None:
-    """Return the exact solution of a network from rest.
+def _solve_network_from_rest(network: Network, stop: float) -> ExponentialSolution | None:
+    """Solve a linearised network exactly; the network starts from rest.
 
     The result is None if the network is too large or has no solution.
     """
@@ -207,8 +213,8 @@ class IntegrationRule(NamedTuple):
     """Numerical integration rule, described by its effect on exponential functions.
 
     The step of the rule is ``h``. ``rates`` returns, for an exponential ``e^(r t)``, the rate of
-    the numerical solution. For a source ``e^(j w t)``, ``axis`` returns the value s for which the
-    numerical response of a mode with the rate r is ``1 / (s - r)``.
+    the numerical solution. The exact response of a mode with the rate r to a source ``e^(j w t)``
+    is ``1 / (j w - r)``. The numerical response is ``1 / (s - r)``, where ``s = axis(j w, h)``.
     """
 
     rates: Callable[[np.ndarray, float], np.ndarray]
@@ -289,11 +295,12 @@ def _describe_resonance(rate: complex, quality: float) -> str:
 
 
 def find_largest_errors(t: np.ndarray, ours: np.ndarray, exact: np.ndarray) -> tuple[float, float]:
-    """Return the largest errors of rms values and of instantaneous values of waves.
+    """Return the largest errors of rms and instantaneous values of waveforms.
 
-    ``ours`` and ``exact`` are arrays of shape (times, waves). The rms values are computed in
-    :data:`WINDOW_COUNT` time windows. Errors of rms values are relative to the largest rms value of
-    the wave in a window. Errors of values are relative to the largest value of the wave.
+    ``ours`` and ``exact`` are arrays of shape (times, waveforms). The rms values are computed in
+    :data:`WINDOW_COUNT` time windows. Errors of rms values are relative to the largest rms value
+    that the waveform has in any window. Errors of instantaneous values are relative to the largest
+    magnitude of the waveform.
     """
     edges = np.linspace(t[0], t[-1], WINDOW_COUNT + 1)[1:-1]
     cuts = np.unique([0, *np.searchsorted(t, edges)])
@@ -312,13 +319,13 @@ def find_largest_errors(t: np.ndarray, ours: np.ndarray, exact: np.ndarray) -> t
 def list_step_checks(
     build: BuiltScene, waves: Waveforms, balances: Mapping[str, RunEnergyBalance]
 ) -> Iterator[Check]:
-    """Yield checks of the effect of the time steps on the waves of a run.
+    """Yield checks of the effect of the time steps on the waveforms of a run.
 
-    Waves of a linear circuit are compared with the exact motion of the circuit. The comparison with
-    the exact motion is left out if a contact determines the steps, because such steps do not
-    resolve all vibrations. In any other circuit, the outputs of each linear body are compared with
-    its exact response to the recorded loads. If a contact determines the steps, the checks of
-    bodies only warn.
+    The waveforms of a linear circuit are compared with the exact solution of the circuit. The
+    comparison with the exact solution is left out if a contact determines the steps, because such
+    steps do not resolve all vibrations. In any other circuit, the outputs of each linear body are
+    compared with its exact response to the recorded loads. If a contact determines the steps, a
+    violated check of a body prints a warning and does not fail the run.
     """
     scene = build.scene
     if scene.analysis.type != "transient" or "time" not in waves:
@@ -327,7 +334,7 @@ def list_step_checks(
     known = not decided and not build.unchecked_parts
     worst, exact = _compare_exact_motion(build, waves) if known else ((0.0, 0.0, ""), set())
     if worst[2]:
-        yield _make_step_check("steps against the exact motion", worst)
+        yield _make_step_check("steps against the exact motion", worst, build)
     for part, balance in balances.items():
         if part in exact:
             continue
@@ -337,16 +344,17 @@ def list_step_checks(
                 errors = find_largest_errors(waves["time"], simulated[:, None], true[:, None])
                 differences.append((*errors, name))
         if differences:
-            check = _make_step_check(f"steps of {part} against its exact answer", max(differences))
+            name = f"steps of {part} against its exact answer"
+            check = _make_step_check(name, max(differences), build)
             yield replace(check, action="warn") if decided else check
 
 
 def _compare_exact_motion(
     build: BuiltScene, waves: Waveforms
 ) -> tuple[tuple[float, float, str], set[str]]:
-    """Return the largest deviation from the exact motion, and the compared parts.
+    """Compare the waveforms of linear circuits with the exact solutions.
 
-    Only waves of linear circuits are compared.
+    Return the largest deviation of a waveform, and the names of the compared parts.
     """
     exact, worst = set[str](), (0.0, 0.0, "")
     linearised = find_linearised_scene(build)
@@ -361,13 +369,18 @@ def _compare_exact_motion(
     return worst, exact
 
 
-def _make_step_check(name: str, largest: tuple[float, float, str]) -> Check:
-    """Return the check of a wave's deviation due to the time steps.
+def _make_step_check(name: str, largest: tuple[float, float, str], build: BuiltScene) -> Check:
+    """Return the check of a waveform's deviation due to the time steps.
 
-    ``largest`` contains the deviation of the rms, the deviation of a value, and the wave's name.
+    For the waveform with the largest deviation, ``largest`` contains the deviation of its rms
+    value, its largest deviation at a time point, and its name.
     """
     amplitude, _, wave = largest
-    advice = "the steps are too coarse for a resonance: leave solver.max_step out, or lower it"
+    advice = "the steps are too coarse for a resonance: "
+    if build.scene.solver.max_step or build.largest_step is None:
+        advice += "leave solver.max_step out, or lower it"
+    else:
+        advice += f"lower the end time; what needs short steps is {build.largest_step.why}"
     return Check(
         name, amplitude, FAILURE_LIMIT, f"of the rms of {wave}", advice, coarse=True, wiring=True
     )
@@ -388,9 +401,9 @@ def _find_largest_deviation(
     waves: Waveforms,
     vectors: Mapping[str, PartResult],
 ) -> tuple[float, float, str]:
-    """Return the largest deviation of the waves of a network from its exact motion.
+    """Return the largest deviation of a network's waveforms from its exact solution.
 
-    Waves that consist only of rounding errors are left out.
+    Waveforms that consist only of rounding errors are left out.
     """
     time = waves["time"]
     pick = np.unique(np.linspace(0, time.size - 1, min(time.size, MAX_COMPARED_POINTS)).astype(int))

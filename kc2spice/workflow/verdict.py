@@ -8,12 +8,13 @@ from dataclasses import replace
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.scene import noise_analysis
 from kc2spice.scene.checks import Check, Gate, RunEnergyBalance, Verdict
-from kc2spice.scene.model import BuiltScene
+from kc2spice.scene.plausibility import check_usual_results
+from kc2spice.scene.scene_classes import BuiltScene
 from kc2spice.workflow.time_step import list_step_checks
 
 # relative change of a flight's height, divided by the relative change of the launch velocity
 HEIGHT_PER_VELOCITY = 2.0
-# limit of an energy balance, as a fraction of error_budget; a tenth of the fraction for time steps
+# largest accepted relative error of an energy balance, divided by error_budget
 BALANCE_SHARE = 0.03
 
 
@@ -42,6 +43,7 @@ def form_verdict(waves: Waveforms, build: BuiltScene) -> Verdict:
         if build.has_noise
         else list_step_checks(build, waves, balances)
     )
+    checks += check_usual_results(waves, build)
     if scene.checks.energy == "off":
         balances = {}
     slack = max(1.0, BALANCE_SHARE * (scene.error_budget or 0.0) / 1e-4)
@@ -62,11 +64,11 @@ def form_verdict(waves: Waveforms, build: BuiltScene) -> Verdict:
 
 
 def add_undecided_warnings(checks: Sequence[Check]) -> Iterator[Check]:
-    """Yield all checks, with a warning or advice for each undecided outcome.
+    """Yield all checks; add warnings or advice if model errors may change an outcome.
 
     A relative error e of the launch velocity v changes the height of a flight, v^2 / 2 g, by the
-    relative amount 2 e. An outcome is undecided if the distance of the motion from its limit is
-    smaller than the change that errors of reduced bodies can cause.
+    relative amount 2 e. The outcome of a check is undecided if errors of reduced bodies can change
+    the motion by more than its distance from the limit of the check.
     """
     error = max((check.value for check in checks if check.loaded), default=0.0)
     for check in checks:

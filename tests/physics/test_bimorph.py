@@ -77,8 +77,8 @@ def test_each_wiring_implies_the_poling_that_the_help_states(wiring, below, abov
     signs = [np.sign(block.material.e[2, 2]) for block in make_bimorph_blocks(keys).blocks]
     assert signs == [below, above]
     help_text = BimorphKeys.model_fields["wiring"].description
-    assert "series (default) with poling towards the middle" in help_text
-    assert "parallel, in which two layers are both poled downwards" in help_text
+    assert "`series` (default): all layers are poled towards the middle" in help_text
+    assert "Two parallel layers are therefore both poled downwards" in help_text
 
 
 def test_bad_keys():

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 from scipy.special import j0, j1, struve
-from support import CatchKeys, MagnetostaticTable, RingKeys, compute_catch_table
+from support import CatchKeys, MagnetostaticTable, RingKeys, compute_magnetostatic_table
 
 MU0 = 4e-7 * np.pi
 # Ten times the default air cylinder: truncation falls with its cube, to 3e-5 of max|F0|.
@@ -63,7 +63,7 @@ def coil_inductance(one: RingKeys, other: RingKeys, turns: int) -> float:
 
 @pytest.fixture(scope="module")
 def table() -> MagnetostaticTable:
-    return compute_catch_table(FREE, RADIUS)
+    return compute_magnetostatic_table(FREE, RADIUS)
 
 
 def test_flux_of_the_sphere_is_its_moment_times_the_coil_field(table: MagnetostaticTable) -> None:
@@ -92,7 +92,7 @@ def test_moment_of_a_permeable_sphere(mu_r: float, radius: float, error: float) 
     # Ring reduced to a far sliver: only the sphere is permeable, and outside it is a dipole.
     sliver = RingKeys(height=0.2e-3, outer=8.2e-3, inner=8e-3, y=2.5e-3)
     catch = FREE.model_copy(update={"mu_r": mu_r, "ring": sliver, "positions": 5})
-    table = compute_catch_table(catch, radius)
+    table = compute_magnetostatic_table(catch, radius)
     step = 1e-6  # central difference at a scale of 1 mm: 1e-7 of the slope
     above, below = (coil_field(catch.lower, catch.turns, table.y + s) for s in (step, -step))
     force = dipole_moment(catch, radius) * (above - below) / (2 * step)

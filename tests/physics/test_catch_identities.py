@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 from skfem import Basis, ElementTriP2, Functional
-from support import LOWER, SPHERE, CatchKeys, compute_catch_table, make_field_assembler
+from support import LOWER, SPHERE, CatchKeys, compute_magnetostatic_table, make_field_assembler
 from support import magnet_field as magmesh
 
 RADIUS = 1e-3
@@ -14,7 +14,7 @@ RADIUS = 1e-3
 def test_polarity_reverses_only_the_ring_magnet() -> None:
     span = {"y_min": -2.5e-3, "y_max": 7.5e-3, "positions": 5}
     table, turned = (
-        compute_catch_table(CatchKeys(polarity=way, **span), RADIUS)
+        compute_magnetostatic_table(CatchKeys(polarity=way, **span), RADIUS)
         for way in ("parallel", "antiparallel")
     )
     # The ring's pull on the sphere as magnetised by a coil turns too: 3e-3 of c1 at mu_r 1.06.
@@ -27,7 +27,9 @@ def test_polarity_reverses_only_the_ring_magnet() -> None:
 @pytest.mark.slow
 def test_force_is_the_slope_of_flux_and_inductance() -> None:
     # Positions every 62.5 um so that the derivative of a spline is no limit.
-    table = compute_catch_table(CatchKeys(y_min=-0.5e-3, y_max=1.5e-3, positions=33), RADIUS)
+    table = compute_magnetostatic_table(
+        CatchKeys(y_min=-0.5e-3, y_max=1.5e-3, positions=33), RADIUS
+    )
     inner = slice(3, -3)
     flux = CubicSpline(table.y, table.flux0)(table.y, 1)[inner]
     inductance = CubicSpline(table.y, table.inductance)(table.y, 1)[inner]

@@ -140,7 +140,7 @@ def test_keys_of_viscous_damping_are_refused(other):
 
 def test_a_body_without_complex_constants_is_an_error():
     scene = kc.load_scene(DISC)
-    with pytest.warns(UserWarning, match="ieee176: this model has viscous damping"):
+    with pytest.warns(UserWarning, match="ieee176: the matrices of disc contain viscous"):
         kc.build(scene)
     box = {"disc.rom.parameters": {"damping.quality": [50.0, 90.0]}}
     with pytest.raises(UsageError, match="viscous damping"):

@@ -119,7 +119,7 @@ def test_a_free_disc_has_the_tangent_of_its_data_sheet_at_1_khz():
 
 
 def test_a_tangent_that_the_clamped_body_cannot_have_is_refused():
-    with pytest.raises(UsageError, match="too large for the clamped capacitance"):
+    with pytest.raises(UsageError, match="less than the ratio of clamped to motional"):
         kc.run({**DISC, "disc": {**DISC["disc"], "damping": {"loss_tangent": 1.0}}})
 
 

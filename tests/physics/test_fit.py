@@ -245,8 +245,8 @@ def test_keys_that_cannot_be_varied(vary):
     data = MeasuredAdmittance("part", "part.csv", f, (2e-9j * np.pi * f)[:, None, None])
     with pytest.raises(
         kc.errors.UsageError,
-        match=r"is not a number|cannot be varied|has no keys|not a valid range|not a range|"
-        r"vary is missing|twice",
+        match=r"is not a number|can be varied|has no keys|not a valid range|not a range|"
+        r"vary is missing|twice|the list layers of disc has 2 entries",
     ):
         kc.fit(BUZZER, "disc", data, vary)
 

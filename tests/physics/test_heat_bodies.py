@@ -646,7 +646,7 @@ def test_a_body_starts_in_equilibrium_with_the_first_heat_flow():
 
 
 @pytest.mark.parametrize(("changes", "words"), [
-    ({"solver": {"stop": 1.0}}, "outside of the run"),
+    ({"solver": {"stop": 1.0}}, "outside the simulated time range"),
     ({"analysis": {"type": "ac", "start": 1.0, "stop": 2.0, "points": 2},
       "fire": {"part": "source", "kind": "heat_flow", "ac": 1.0}},
      "needs a transient analysis"),

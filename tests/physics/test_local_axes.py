@@ -221,8 +221,8 @@ def test_field_against_the_poling_of_each_element(bender):
 
 
 @pytest.mark.parametrize(("poling", "message"), [
-    ({}, "exactly one of the keys direction and file"),
-    ({"file": "p.csv", "direction": [1, 0, 0]}, "exactly one of the keys direction and file"),
+    ({}, "exactly one of the keys `direction` and `file`"),
+    ({"file": "p.csv", "direction": [1, 0, 0]}, "exactly one of the keys `direction` and `file`"),
     ({"file": "p.csv", "axis": [0, 0, 1]}, "axis and through cannot be combined with a CSV file"),
     ({"direction": [0, 0, 0]}, "is a zero vector"),
 ])  # fmt: skip

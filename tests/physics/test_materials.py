@@ -131,6 +131,110 @@ def test_impossible_materials_are_refused_with_a_reason(table, says):
     assert says in str(caught.value)
 
 
+# Constants of PZT-5A in units that the table does not have, and the constants in SI units.
+WRONG_UNITS = {
+    "permittivity in F/m": (
+        {"permittivity": {"eps11": 1730.0, "eps33": 1700 * epsilon_0}},
+        "write  eps33 = 1700  if",
+        {"permittivity": {"eps11": 1730.0, "eps33": 1700}},
+    ),
+    "permittivity in F/m at strain": (
+        {"permittivity": {"eps33": 1.5e-8}, "permittivity_at": "strain"},
+        "write  eps33 = 1694  if",
+        {"permittivity": {"eps33": 1694}, "permittivity_at": "strain"},
+    ),
+    "pC/N": (
+        {"strain_coupling": {"d31": -171, "d33": 374, "d15": 584}},
+        "write  d31 = -171e-12, d33 = 374e-12, d15 = 584e-12  if",
+        {"strain_coupling": {"d31": -171e-12, "d33": 374e-12, "d15": 584e-12}},
+    ),
+    "one value in pC/N, at strain": (
+        {"strain_coupling": {"d33": 374}, "permittivity_at": "strain"},
+        "write  d33 = 374e-12  if",
+        {"strain_coupling": {"d33": 374e-12}, "permittivity_at": "strain"},
+    ),
+    "nC/N": (
+        {"strain_coupling": {"d33": 0.374}},
+        "write  d33 = 0.374e-9  if",
+        {"strain_coupling": {"d33": 0.374e-9}},
+    ),
+    "one value in 1/TPa": (
+        {"compliance": {"s44": 47.5}},
+        "write  s44 = 47.5e-12  if",
+        {"compliance": {"s44": 47.5e-12}},
+    ),
+    "an off-diagonal value in GPa": (
+        PZT | {"stiffness": PZT["stiffness"] | {"c13": 75.2, "c44": 21.1}},
+        "write  c13 = 75.2e9, c44 = 21.1e9  if",
+        PZT,
+    ),
+    "GPa": (
+        PZT | {"stiffness": {"c11": 121, "c12": 75.4, "c13": 75.2, "c33": 111, "c44": 21.1}},
+        "write  c11 = 121e9, c12 = 75.4e9, c13 = 75.2e9, c33 = 111e9, c44 = 21.1e9  if",
+        PZT,
+    ),
+    "one modulus in GPa": (
+        STEEL | {"youngs_modulus": 0.5},
+        'write  youngs_modulus = "0.5 GPa"',
+        STEEL | {"youngs_modulus": "0.5 GPa"},
+    ),
+    "mC/m2": (
+        PZT | {"stress_coupling": {"e31": -5400, "e33": 15800, "e15": 12300}},
+        "write  e31 = -5400e-3, e33 = 15800e-3, e15 = 12300e-3  if",
+        PZT | {"stress_coupling": {"e31": -5400e-3, "e33": 15800e-3, "e15": 12300e-3}},
+    ),
+}
+
+
+@pytest.mark.parametrize("case", WRONG_UNITS)
+def test_a_constant_in_another_unit_is_refused_with_its_value_in_si(case):
+    wrong, advice, right = WRONG_UNITS[case]
+    tables = [t if "density" in t else {"like": "PZT-5A"} | t for t in (wrong, right)]
+    with pytest.raises(UsageError) as caught:
+        find_material(tables[0], "disc.material")
+    assert caught.value.hint.startswith(advice)
+    assert find_material(tables[1], "disc.material").density > 0
+
+
+def test_a_coupling_factor_near_one_is_refused():
+    """Without the permittivity of the strain, k^2 = d^2 C / eps^T is nearly 1."""
+    table = PZT | {"permittivity": {"eps11": 3.0, "eps33": 3.0}}
+    with pytest.raises(UsageError, match="too large for this permittivity") as caught:
+        find_material(table)
+    C, e = find_material(PZT).C, find_material(PZT).e
+    coupled = e @ np.linalg.solve(C, e.T)
+    square = np.diag(coupled) / (np.diag(coupled) + 3.0 * epsilon_0)
+    assert f"{np.sqrt(square.max()):.4g}" in caught.value.got
+    with pytest.raises(UsageError) as caught:
+        find_material(table | {"permittivity_at": "stress"})
+    assert caught.value.hint.startswith('write  permittivity_at = "strain"')
+
+
+@pytest.mark.parametrize(
+    "table",
+    [
+        # gel: nearly incompressible, with a shear modulus of 1 kPa
+        {"density": 1000, "youngs_modulus": 3e3, "poisson_ratio": 0.4999995},
+        # relaxor crystal PZN-8%PT (Zhang et al., J. Appl. Phys. 90 (2001) 3471)
+        {"density": 8315, "symmetry": "orthotropic",
+         "stiffness": {"c11": 105e9, "c12": 96e9, "c13": 95.5e9, "c22": 105e9, "c23": 95.5e9,
+                       "c33": 105.5e9, "c44": 64e9, "c55": 64e9, "c66": 65e9},
+         "stress_coupling": {"e31": -5.1, "e32": -5.1, "e33": 15.4, "e15": 10.1, "e24": 10.1},
+         "permittivity": {"eps11": 2720, "eps33": 984}, "permittivity_at": "strain"},
+        # polymer film, and a fibre that is much stiffer along its axis
+        {"density": 1780, "symmetry": "6mm",
+         "stiffness": {"c11": 3.6e9, "c12": 1.6e9, "c13": 1.5e9, "c33": 1.6e9, "c44": 0.6e9},
+         "strain_coupling": {"d31": 23e-12, "d33": -33e-12, "d15": -27e-12},
+         "permittivity": {"eps11": 12}, "permittivity_at": "stress"},
+        {"density": 40, "youngs_modulus": [1e5, 1e5, 1e9],
+         "poisson_ratio": {"nu_xy": 0.3, "nu_yz": 0.0, "nu_xz": 0.0},
+         "shear_modulus": {"g_yz": 1e7, "g_xz": 1e7, "g_xy": 1e5}},
+    ],
+)  # fmt: skip
+def test_unusual_materials_are_accepted(table):
+    assert find_material(table).name
+
+
 def test_the_page_has_every_built_in_material_with_its_source():
     page, _, _ = PAGE.read_text("utf-8").partition("## Constants of built-in materials")
     library = tomllib.loads((Path(materials.__file__).with_suffix(".toml")).read_text("utf-8"))

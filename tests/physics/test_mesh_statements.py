@@ -18,7 +18,7 @@ from support import (
     choose_compared_count,
     choose_pressure_basis,
     compare_rings,
-    compute_catch_table,
+    compute_magnetostatic_table,
     compute_sphere_compliance,
     compute_test_forces,
     describe_plan,
@@ -113,7 +113,7 @@ def test_error_of_the_force_table_is_that_of_its_mesh(changes, radius):
     """Against a mesh three times as fine."""
     coarse = CatchKeys(positions=9, y_min=-2e-3, y_max=6e-3, **changes)
     table, exact = (
-        compute_catch_table(CatchKeys(**{**coarse.model_dump(), "refine": n}), radius)
+        compute_magnetostatic_table(CatchKeys(**{**coarse.model_dump(), "refine": n}), radius)
         for n in (1, 3)
     )
     errors = {

@@ -240,7 +240,7 @@ def test_an_acoustic_port_at_nodes_is_refused_with_the_repair(tmp_path):
     text = (tmp_path / "neck.toml").read_text().replace("column = 1", 'node = 1\ndof = "ux"')
     (tmp_path / "neck.toml").write_text(text)
     with pytest.raises(
-        kc.errors.UsageError, match="a port of kind acoustic can only have the key column"
+        kc.errors.UsageError, match="a port of kind acoustic can only have the key `column`"
     ) as caught:
         kc.read_model(tmp_path / "neck")
     assert "column = 1" in str(caught.value)

@@ -232,5 +232,5 @@ def test_declared_branches_of_rotation_keep_their_units(tmp_path):
 
 
 def test_unknown_coordinates_of_branches_are_refused():
-    with pytest.raises(kc.errors.UsageError, match="coordinate of a branch does not exist"):
+    with pytest.raises(kc.errors.UsageError, match="cannot be the coordinate of a branch"):
         branch("heat_flow")

@@ -112,3 +112,36 @@ def test_parts_without_an_impedance_are_errors():
     silent["drive"] = {"part": "source", "dc": 1.0}
     with pytest.raises(kc.errors.UsageError, match="no source drives"):
         kc.fit(silent, "woofer", measure(0.0), RANGES)
+
+
+def test_a_data_sheet_resonator_is_fitted_with_its_voltage_and_current():
+    """The admittance of a capacitance in parallel with a series resonant circuit."""
+    c0, fs, cm, rm = 8e-9, 6.4e3, 1.2e-9, 300.0
+    f = np.linspace(5e3, 8e3, 100)
+    s = 2j * np.pi * f
+    y = s * c0 + 1 / (rm + s / ((2 * np.pi * fs) ** 2 * cm) + 1 / (s * cm))
+    data = MeasuredAdmittance("bvd", "bvd.csv", f, y[:, None, None])
+    part = {"part": "bvd", "fs": "6 kHz", "c0": "7 nF", "cm": [1e-9], "rm": 350.0}
+    tables = {"disc": part | {"pins": {"anode": "drive.out"}}, "drive": {"part": "source", "ac": 1}}
+    result = kc.fit(tables, "disc", data, ["fs[0]", "c0", "cm[0]", "rm[0]"])
+    # a key with a list in the scene keeps its index, a key with a single number has none
+    names = ["disc.fs", "disc.c0", "disc.cm[0]", "disc.rm"]
+    assert list(result["values"]) == names
+    assert list(result["values"].values()) == pytest.approx([fs, c0, cm, rm], rel=1e-6)
+    fitted = kc.load_scene(tables, result["values"])
+    assert fitted.get_part("disc").keys.fs == pytest.approx([fs], rel=1e-6)
+
+
+@pytest.mark.slow
+def test_several_curves_of_a_finite_element_body_are_fitted():
+    layers = [
+        {"diameter": "20 mm", "thickness": "0.2 mm", "material": "brass"},
+        {"diameter": "14 mm", "thickness": "0.2 mm", "material": "PZT-5A"},
+    ]
+    disc = {"part": "disc", "layers": layers, "damping": {"quality": 50.0}}
+    tables = {"disc": disc | {"pins": {"anode": "drive.out"}}, "drive": {"part": "source", "ac": 1}}
+    model = kc.build({"disc": disc | {"damping": {"quality": 45.0}}})["disc"].select(["anode"])
+    f = np.linspace(4e3, 9e3, 40)
+    data = MeasuredAdmittance("d", "d.csv", f, 2j * np.pi * f[:, None, None] * model.transfer(f))
+    result = kc.fit(tables, "disc", [{"file": data}], ["damping.quality"])
+    assert result["values"]["disc.damping.quality"] == pytest.approx(45.0, rel=1e-3)

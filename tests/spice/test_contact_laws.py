@@ -95,7 +95,7 @@ def test_newtons_cradle_against_plain_equations(tmp_path):
 def test_a_hertz_contact_requires_a_modulus_and_a_sphere_at_one_port():
     with pytest.raises(UsageError, match="modulus"):
         bounce(law="hertz")
-    with pytest.raises(UsageError, match="only to a sphere at one port"):
+    with pytest.raises(UsageError, match="requires a sphere that touches a part at a single port"):
         load_scene("impact", ["contact.law=hertz", "contact.rings=3"])
 
 

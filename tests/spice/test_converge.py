@@ -4,7 +4,7 @@ import warnings
 
 import numpy as np
 import pytest
-from support import ERROR_BUDGET, OutputRecipient, StageTimer, list_mesh_errors, refine
+from support import ERROR_BUDGET, OutputRecipient, StageTimer, list_mesh_errors, settings_refinement
 
 import kc2spice as kc
 
@@ -52,7 +52,7 @@ def test_a_coarse_scene_is_refined_until_its_budget_holds():
     assert found["held"] is (found["errors"]["late_v"] <= before / 5)
     assert error <= before / 5 or any("error of late_v" in each for each in said)
     assert len(found["tried"]) > 1
-    assert any("finer solver." in each for each in said)
+    assert any("the run refined these settings: solver." in each for each in said)
 
 
 def test_an_unreachable_budget_is_reported():
@@ -92,11 +92,11 @@ DISC = {
 
 def test_meshes_are_refined_within_limits_that_are_stated_first(monkeypatch):
     """A mesh beyond them stays, and its own error estimate counts for it."""
-    monkeypatch.setattr(refine, "MAX_MESH_UNKNOWNS", 1000)
+    monkeypatch.setattr(settings_refinement, "MAX_MESH_UNKNOWNS", 1000)
     said = []
     scene = kc.load_scene(DISC, {"error_budget": 0.2})
-    own = refine.evaluate_scene(scene, StageTimer())
-    done = refine.converge_to_budget(
+    own = settings_refinement.evaluate_scene(scene, StageTimer())
+    done = settings_refinement.converge_to_budget(
         own, StageTimer(lambda stage, done, text: said.append((stage, text)))
     )
     facts = own.build.get_model_values(scene.parts["disc"])
@@ -111,10 +111,14 @@ def test_meshes_are_refined_within_limits_that_are_stated_first(monkeypatch):
 
 def refined_disc(monkeypatch, most, budget):
     """The disc with a budget and a limit of unknowns, and on a mesh eight times as fine."""
-    monkeypatch.setattr(refine, "MAX_MESH_UNKNOWNS", most)
-    own = refine.evaluate_scene(kc.load_scene(DISC, {"error_budget": budget}), StageTimer())
-    exact = refine.evaluate_scene(kc.load_scene(DISC, {"disc.mesh.refine": 8}), StageTimer())
-    return refine.converge_to_budget(own, StageTimer()), exact
+    monkeypatch.setattr(settings_refinement, "MAX_MESH_UNKNOWNS", most)
+    own = settings_refinement.evaluate_scene(
+        kc.load_scene(DISC, {"error_budget": budget}), StageTimer()
+    )
+    exact = settings_refinement.evaluate_scene(
+        kc.load_scene(DISC, {"disc.mesh.refine": 8}), StageTimer()
+    )
+    return settings_refinement.converge_to_budget(own, StageTimer()), exact
 
 
 @pytest.mark.slow
@@ -137,7 +141,7 @@ def test_the_error_at_the_limit_is_that_of_each_metric(monkeypatch):
     done, exact = refined_disc(monkeypatch, 2500, 1e-4)
     assert done.final.settings["disc.mesh.refine"] == 2
     assert done.final.unmoved == ("disc.mesh.refine",)
-    true = refine.compute_metric_changes(done.final.run, exact)
+    true = settings_refinement.compute_metric_changes(done.final.run, exact)
     for name, error in true.items():
         assert done.final.errors[name] >= error, name
     mesh = max(
@@ -150,8 +154,8 @@ def test_the_error_at_the_limit_is_that_of_each_metric(monkeypatch):
 
 def test_memory_of_a_factor_is_that_of_its_fill():
     """A chip of 152 000 unknowns took 5.8 GB, a disc of 145 000 a fraction of a gigabyte."""
-    assert refine.estimate_factor_bytes(152e3, 3) == pytest.approx(5.8e9, rel=0.05)
-    assert refine.estimate_factor_bytes(145e3, 2) < 0.5e9
+    assert settings_refinement.estimate_factor_bytes(152e3, 3) == pytest.approx(5.8e9, rel=0.05)
+    assert settings_refinement.estimate_factor_bytes(145e3, 2) < 0.5e9
 
 
 @pytest.mark.parametrize(("as_json", "quiet"), [(False, False), (True, False), (False, True)])

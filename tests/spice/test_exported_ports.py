@@ -83,7 +83,8 @@ def test_the_exported_deck_is_verified_with_its_ports(chain, tmp_path):
     deck, library = tmp_path / "out" / "pushed.cir", tmp_path / "out" / "pushed_chain.lib"
     deck.write_text(deck.read_text().replace(".include pushed_chain.lib", library.read_text()))
     said = run_command("verify", "pushed.toml", "--deck", str(deck), "-o", "inline", "-q", code=2)
-    assert "no subcircuit of this part" in said  # what stands beside it is not taken for it
+    # the library file beside the deck is not used, because the deck does not include it
+    assert "no library with the subcircuit of this part" in said
 
 
 def test_a_scene_with_only_a_chip_exports_all_rings(tmp_path):

@@ -263,7 +263,7 @@ TWO = [{"group": "bottom", "coefficient": 5.0}, {"group": "top", "coefficient": 
         ({}, {"films[0].coefficient": [-1.0, 200.0]}, "cannot have"),
         ({}, {"films[0].coefficient": [200.0, 300.0]}, "not a valid range of a parameter"),
         ({}, {"layers[0].thickness": [0.0, 1.0]}, "cannot have"),
-        ({}, {"films[1].coefficient": [1.0, 2.0]}, "is not a number"),
+        ({}, {"films[1].coefficient": [1.0, 2.0]}, "the list films of body has 1 entry"),
     ],
 )  # fmt: skip
 def test_bad_ranges_are_refused_before_any_mesh(change, ranges, words, monkeypatch):

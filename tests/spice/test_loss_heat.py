@@ -277,7 +277,7 @@ def test_losses_of_coupled_states_have_no_pin_of_heat(tmp_path):
 def test_ranges_of_keys_have_no_pin_of_heat():
     scene, _ = driven("bimorph")
     scene["part"]["rom"] = {"parameters": {"length": ["19 mm", "21 mm"]}}
-    with pytest.raises(UsageError, match="no heat pin"):
+    with pytest.raises(UsageError, match="a netlist with parameters cannot have a heat pin"):
         kc.deck(scene)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from films import FILM
 from scipy.integrate import solve_ivp
-from support import bench, find_value_units, format_results, refine
+from support import bench, find_value_units, format_results, settings_refinement
 
 import kc2spice as kc
 
@@ -158,7 +158,7 @@ def test_errors_of_metrics_are_relative_to_metrics_of_the_same_unit():
         {"x_peak": 1.0e-6, "u_peak": 1e3, "far_m": 2e-6, "quality": 100.0, "coupling_quality": 0.3},
         units,
     )
-    found = refine.compute_metric_changes(coarse, fine)
+    found = settings_refinement.compute_metric_changes(coarse, fine)
     assert found["x_peak"] == pytest.approx(0.1)
     assert found["quality"] == pytest.approx(0.1)
 
@@ -166,7 +166,9 @@ def test_errors_of_metrics_are_relative_to_metrics_of_the_same_unit():
 def test_near_zero_values_are_judged_by_a_tenth_of_the_largest_in_their_unit():
     units = {"rest": "m", "stroke": "m"}
     coarse, fine = runs({"rest": 2e-9, "stroke": 1e-6}, {"rest": 1e-9, "stroke": 1e-6}, units)
-    assert refine.compute_metric_changes(coarse, fine)["rest"] == pytest.approx(1e-9 / 1e-7)
+    assert settings_refinement.compute_metric_changes(coarse, fine)["rest"] == pytest.approx(
+        1e-9 / 1e-7
+    )
 
 
 def test_errors_of_a_response_are_relative_to_each_value():
@@ -175,7 +177,7 @@ def test_errors_of_a_response_are_relative_to_each_value():
     coarse, fine = runs(
         {"low": 2e-9, "peak": 1e-6, "still": 3e-19}, {"low": 1e-9, "peak": 1e-6, "still": 0}, units
     )
-    found = refine.compute_metric_changes(replace(coarse, is_small_signal=True), fine)
+    found = settings_refinement.compute_metric_changes(replace(coarse, is_small_signal=True), fine)
     assert found["low"] == pytest.approx(1.0)
     assert found["still"] < 1e-6
 
@@ -185,7 +187,7 @@ def test_bench_and_error_budget_state_the_same_error():
     coarse, fine = runs({"rest": 2e-9, "stroke": 1e-6}, {"rest": 1e-9, "stroke": 1.1e-6}, units)
     assert bench.compute_metric_errors(
         coarse, fine, ("rest", "stroke")
-    ) == refine.compute_metric_changes(coarse, fine)
+    ) == settings_refinement.compute_metric_changes(coarse, fine)
 
 
 def test_facts_of_models_have_units():

@@ -12,7 +12,7 @@ from support import (
     read_parameter,
     read_value,
     run_deck,
-    with_prefixes,
+    write_numbers_with_prefixes,
 )
 
 EVERYDAY = [
@@ -85,4 +85,4 @@ def test_numbers_are_those_of_an_engineer():
      ("PULSE(1e999 1e-999 0)", "PULSE(1e999 1e-999 0)")],
 )  # fmt: skip
 def test_words_without_numbers_are_unchanged(text, spelled):
-    assert with_prefixes(text) == spelled
+    assert write_numbers_with_prefixes(text) == spelled

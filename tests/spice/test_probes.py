@@ -73,8 +73,8 @@ BAD_WINDOWS = (
         None,
     ),
     ({"to": "70 ms"}, {}, "outside of the range of the analysis", None),
-    ({"periods": 2}, {"h": SECOND, "load": LOAD}, "no common period", "from and to"),
-    ({"periods": 2}, {"g": {"part": "source", "dc": 1.0}}, "no common period", "from and to"),
+    ({"periods": 2}, {"h": SECOND, "load": LOAD}, "no common period", "`from` and `to`"),
+    ({"periods": 2}, {"g": {"part": "source", "dc": 1.0}}, "no common period", "`from` and `to`"),
 )
 
 

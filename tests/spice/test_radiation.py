@@ -247,7 +247,7 @@ def test_a_band_beyond_the_network_warns_before_the_simulation():
 
 
 def test_a_listener_in_the_near_field_warns():
-    with pytest.warns(UserWarning, match="far field at 10 mm ends at 10.92 kHz"):
+    with pytest.warns(UserWarning, match="the pressure is inaccurate above 10.92 kHz"):
         load_scene(front("baffled_piston") | {"ear": {"part": "listener", "distance": "10 mm"}})
 
 

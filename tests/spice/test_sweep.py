@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 from commands import session
-from support import sweeps
+from support import sweep_execution
 from sweeps import circuit, command, rows, sweep
 
 GRID = ("wire.resistance=500 Ohm:2 kOhm:4", "supply.pulse.high=5 V,10 V")
@@ -128,7 +128,7 @@ def begun(scene, out, count=2, **options):
 
 
 def recorded(out):
-    path = out / sweeps.ROWS_FILE
+    path = out / sweep_execution.ROWS_FILE
     return path.read_bytes().count(b'"interrupted": ') if path.exists() else 0
 
 

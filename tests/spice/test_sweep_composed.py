@@ -7,7 +7,7 @@ from contextlib import nullcontext
 import numpy as np
 import pytest
 from scipy.io import mmwrite
-from support import read_scene_text, sweeps
+from support import read_scene_text, sweep_execution
 from sweeps import rows
 
 OWN = """
@@ -51,13 +51,13 @@ def test_files_of_the_parts_travel_with_the_sweep(own, tmp_path):
     path = str(own / "own.toml")
     names = {name for name, _ in read_scene_text(path).files}
     assert names == {"push.csv", "beam.toml", "stiff.mtx", *(f"beam.{x}.mtx" for x in "MEBC")}
-    found = sweeps.make_sweep(read_scene_text(path), ("solver.reltol=1e-3,1e-4",))
+    found = sweep_execution.make_sweep(read_scene_text(path), ("solver.reltol=1e-3,1e-4",))
     before = found.digest
     (own / "push.csv").write_text("0,0\n1e-4,2\n1,2\n")
-    again = sweeps.make_sweep(read_scene_text(path), ("solver.reltol=1e-3,1e-4",))
+    again = sweep_execution.make_sweep(read_scene_text(path), ("solver.reltol=1e-3,1e-4",))
     assert again.digest != before
     shutil.rmtree(own)  # as on another machine
-    summary = sweeps.run_sweep(
+    summary = sweep_execution.run_sweep(
         found, tmp_path / "o", lambda: nullcontext((ThreadPoolExecutor(1), 1))
     )
     assert summary["failed"] == 0

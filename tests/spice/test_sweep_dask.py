@@ -6,7 +6,7 @@ import sys
 import time
 
 import pytest
-from support import SceneInput, make_dask_connector, make_local_pool_opener, sweeps
+from support import SceneInput, make_dask_connector, make_local_pool_opener, sweep_execution
 
 pytest.importorskip("distributed")
 
@@ -28,8 +28,8 @@ def test_a_killed_worker_and_a_restarted_scheduler_lose_no_point(tmp_path):
     scheduler = ("distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", str(port))
     worker = ("distributed.cli.dask_worker", address, "--nthreads", "1", "--no-nanny")
     daemons = {"scheduler": start(*scheduler), "a": start(*worker), "b": start(*worker)}
-    rows = tmp_path / "dask" / sweeps.ROWS_FILE
-    study = sweeps.make_sweep(SceneInput("kick_and_catch", None), SETS)
+    rows = tmp_path / "dask" / sweep_execution.ROWS_FILE
+    study = sweep_execution.make_sweep(SceneInput("kick_and_catch", None), SETS)
     done = []
 
     def interfere(stage, share, text):
@@ -47,14 +47,14 @@ def test_a_killed_worker_and_a_restarted_scheduler_lose_no_point(tmp_path):
 
     try:
         workers = make_dask_connector(address, 1, patience=60.0)
-        distributed = sweeps.run_sweep(study, tmp_path / "dask", workers, interfere)
+        distributed = sweep_execution.run_sweep(study, tmp_path / "dask", workers, interfere)
     finally:
         for process in daemons.values():
             process.kill()
             process.wait()
     assert (distributed["points"], distributed["failed"]) == (16, 0)
     assert done == sorted(set(done))  # each row is recorded once
-    local = sweeps.run_sweep(study, tmp_path / "local", make_local_pool_opener(2))
+    local = sweep_execution.run_sweep(study, tmp_path / "local", make_local_pool_opener(2))
     tables = [(tmp_path / name / "sweep.csv").read_bytes() for name in ("dask", "local")]
     assert tables[0] == tables[1]
     assert local["failed"] == 0

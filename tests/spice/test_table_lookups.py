@@ -77,8 +77,14 @@ def test_a_lookup_is_constant_beyond_its_ends(header, tmp_path):
 @pytest.mark.parametrize(
     ("physics", "message"),
     [
-        ({"energy": "bend(x)*stiff(x)"}, "cannot contain functions or products of tables"),
-        ({"energy": "exp(bend(x)/1e-3)"}, "cannot contain functions or products of tables"),
+        (
+            {"energy": "bend(x)*stiff(x)"},
+            "cannot contain a function of a table or a product of tables",
+        ),
+        (
+            {"energy": "exp(bend(x)/1e-3)"},
+            "cannot contain a function of a table or a product of tables",
+        ),
         ({"energy": "bend(x) + bend(2*x)"}, "differ in their arguments or ranges"),
         (
             {"branches": (SPRING, voltage("v", "p", "n")), "content": "0.5*v^2*stiff(x)"},
@@ -86,7 +92,7 @@ def test_a_lookup_is_constant_beyond_its_ends(header, tmp_path):
         ),
         (
             {"branches": (SPRING, current("i", "p", "n")), "coenergy": "stiff(x)*i^4"},
-            "depends on a current",
+            "must not depend on a current",
         ),
         (
             {

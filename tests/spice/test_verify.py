@@ -124,7 +124,7 @@ def test_points_that_steps_do_not_resolve_are_not_compared():
     """Excluded are points within the step of an event, and beside a step of one model only."""
     steps = FullModelDifference(np.arange(6.0), {}, np.arange(6) == 4, (0.5,))
     points = np.array([0.0, 0.2, 0.8, 1.0, 2.9, 3.0, 4.5, 5.0])
-    assert steps.mask_equal_modes(points).tolist() == [
+    assert steps.mask_equal_switching_states(points).tolist() == [
         True,
         *2 * [False],
         *2 * [True],

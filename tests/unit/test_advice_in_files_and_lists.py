@@ -1,17 +1,24 @@
 """Mistakes in netlists, lists and magnitudes whose advice is followed: the input then runs."""
 
+import math
 import re
 import warnings
 from pathlib import Path
 
+import numpy as np
 import pytest
+from skfem.mesh import MeshHex
 from support import (
+    Solid,
     StageTimer,
     build_models,
     convert_quantity,
     did_you_mean,
     find_material,
+    find_mesh_frequency_limit,
     parse_toml,
+    reduce_file,
+    solve_definite,
 )
 
 import kc2spice as kc
@@ -284,7 +291,8 @@ def test_keys_that_only_a_transient_uses_warn_in_other_analyses(tmp_path):
          "lower drive.start below 0.005 s"),
         ("kick_and_catch", ["kick.mesh.ring_spacing=2 mm"], "does not fit on the chip",
          "lower mesh.ring_spacing to 0.00027 m"),
-        ("impact", ['kick.fields=["1 ms"]'], "outside of the run", "write a time from 0 to"),
+        ("impact", ['kick.fields=["1 ms"]'], "outside the simulated time range",
+         "write a time from 0 to"),
         ("buzzer_noise", ["analysis.stop=20 kh"], "unknown unit", 'write  "20 kHz"'),
         ("buzzer_noise", ["disc.rom.parameters={thickness=[1,2]}"], "no numeric key",
          "did you mean 'layers[0].thickness'?"),
@@ -311,7 +319,7 @@ def test_keys_of_scenes_with_one_action(scene, overrides, head, advice):
          'write  youngs_modulus = "100 GPa"', {"youngs_modulus": "100 GPa"}),
         ({"like": "bras"}, "did you mean 'brass'?", {"like": "brass"}),
         ({"like": "PZT-5A", "stress_coupling": {"e31": 1.0}, "strain_coupling": {"d31": 1.0}},
-         "delete strain_coupling, because both contain the same constants", None),
+         "delete the key `strain_coupling`, because both contain the same constants", None),
     ],
 )  # fmt: skip
 def test_a_table_of_a_material(table, hint, correction):
@@ -618,3 +626,319 @@ def test_a_waveform_file_of_another_form(refusal, data, advice):
     Path("wave.csv").write_text(data)
     found = refusal(CHARGED.replace('pwl = [[0, 0], ["1 ms", 5]]', 'file = "wave.csv"'))
     assert found["next"].startswith(advice)
+
+
+BENDER = """[disc]
+part = "disc"
+layers = [
+  { material = "brass", diameter = "20 mm", thickness = "0.2 mm" },
+  { material = "PZT-5A", diameter = "14 mm", thickness = "0.2 mm" },
+]
+damping = { quality = 50 }
+pins = { anode = "drive.out" }
+[drive]
+part = "source"
+ac = "1 V"
+[analysis]
+type = "ac"
+start = "1 kHz"
+stop = "STOP"
+points = 20
+"""
+UNRESOLVED = "highest frequency: 1e+09 Hz, limit"
+
+
+def test_a_band_beyond_the_mesh_gives_the_same_warning_in_reduce_and_run(cli):
+    Path("own.toml").write_text(BENDER.replace("STOP", "14 kHz"))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        assert kc.run("own.toml").checks
+        reduce_file("own.toml:disc", Path("narrow"))
+    assert not [item for item in caught if UNRESOLVED in str(item.message)]
+    with pytest.warns(UserWarning, match=re.escape(UNRESOLVED)):
+        reduce_file("own.toml:disc", Path("wide"), band=(0.0, 1e9))
+    Path("own.toml").write_text(BENDER.replace("STOP", "1 GHz"))
+    with pytest.warns(UserWarning, match=re.escape(UNRESOLVED)):
+        kc.run("own.toml")
+
+
+def test_the_highest_frequency_of_a_mesh():
+    """Shear waves as long as the diagonal of a cell of 3 mm by 4 mm by 12 mm, which is 13 mm."""
+    mesh = MeshHex.init_tensor(*(np.linspace(0, 2 * side, 3) for side in (3e-3, 4e-3, 12e-3)))
+    steel = find_material({"density": 7850, "youngs_modulus": 210e9, "poisson_ratio": 0.3})
+    solid = Solid(mesh, (steel,), np.zeros(mesh.nelements, dtype=int))
+    speed = np.sqrt(210e9 / (2 * 1.3) / 7850)
+    assert find_mesh_frequency_limit(solid) == pytest.approx(speed / 13e-3)
+
+
+@pytest.mark.parametrize(
+    ("damping", "advice", "right"),
+    [
+        ("ratio = 5, at = 1e4", "write ratio = 0.01", "ratio = 0.01, at = 1e4"),
+        ("ratio = 1, at = 1e4", "write ratio = 0.01", "ratio = 0, at = 1e4"),
+        ("loss_factor = 2", "write loss_factor = 0.02", "loss_factor = 0.02"),
+    ],
+)
+def test_overcritical_damping_of_matrices_is_refused_as_in_a_scene(
+    tmp_path, damping, advice, right
+):
+    np.savez(tmp_path / "m.npz", M=np.eye(2), K=[[2e4, -1e4], [-1e4, 1e4]], B=[[0.0], [1.0]])
+    port = '[[ports]]\nname = "tip"\nkind = "mechanical"\ncolumn = 1\n'
+    (tmp_path / "m.toml").write_text(f"damping = {{ {damping} }}\n{port}")
+    with pytest.raises(kc.errors.UsageError, match="overcritical") as caught:
+        kc.read_model(tmp_path / "m.npz")
+    assert advice in caught.value.hint
+    (tmp_path / "m.toml").write_text(f"damping = {{ {right} }}\n{port}")
+    assert kc.read_model(tmp_path / "m.npz").order == 2
+
+
+def test_an_overcritical_loss_factor_of_a_body_is_refused(cli):
+    text = BENDER.replace("STOP", "14 kHz")
+    Path("own.toml").write_text(text.replace("quality = 50", "loss_factor = 2"))
+    with pytest.raises(kc.errors.UsageError, match="overcritical"):
+        kc.build("own.toml")
+    Path("own.toml").write_text(text.replace("quality = 50", "loss_factor = 1.9"))
+    assert "disc" in kc.build("own.toml")
+
+
+CHAIN = {"M": np.eye(3), "K": 1e4 * (2 * np.eye(3) - np.eye(3, k=1) - np.eye(3, k=-1)),
+         "B": np.eye(3)[:, :1]}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message", "hint"),
+    [
+        ({"K": -CHAIN["K"]}, "a stiffness is negative", "change the sign of K"),
+        ({"M": -CHAIN["M"]}, "a mass is negative", "change the sign of M"),
+        ({"B": 0 * CHAIN["B"]}, "no input acts on the model", "export the matrix B again"),
+        ({"C": np.zeros((1, 3))}, "no output depends on the model", "export the matrix C again"),
+        ({"K": 0 * CHAIN["K"]}, "matrix K is zero", "export the matrix K again"),
+    ],
+)
+def test_a_wrong_matrix_is_named_with_an_action(tmp_path, wrong, message, hint):
+    np.savez(tmp_path / "m.npz", **CHAIN | wrong)
+    with pytest.raises(kc.errors.UsageError, match=message) as caught:
+        reduce_file(tmp_path / "m.npz", tmp_path / "out")
+    assert caught.value.hint == hint
+    np.savez(tmp_path / "m.npz", **CHAIN)
+    assert reduce_file(tmp_path / "m.npz", tmp_path / "out")["stable"]
+
+
+@pytest.mark.parametrize(
+    ("option", "typed", "hint"),
+    [
+        ("--solver", "mumps", "leave out --solver, so that the built-in solvers are used"),
+        ("--network", "ring", "leave out --network, so that the form is foster"),
+        ("--network", "caur", "did you mean 'cauer'?"),
+    ],
+)
+def test_an_unknown_choice_of_an_option_of_reduce(cli, option, typed, hint):
+    np.savez("m.npz", **CHAIN)
+    found = rows_of_error(cli("reduce", "m.npz", option, typed).stderr)
+    assert found["got"] == repr(typed)
+    assert found["next"] == hint
+    assert cli("reduce", "m.npz", "-q").exit_code == 0
+
+
+def test_indefinite_equations_of_a_body_are_an_error_of_the_program():
+    matrix = np.diag([1.0, -1.0])
+    with pytest.raises(kc.errors.SimulationError, match="cannot be factorised") as caught:
+        solve_definite(matrix, np.ones(2))
+    assert "check the units of the materials" in caught.value.hint
+
+
+SPRING = """[spring]
+part = "spring"
+stiffness = "1 kN/m"
+pins = { a = "mass.a" }
+[mass]
+part = "mass"
+mass = "25 mg"
+[push]
+part = "source"
+kind = "force"
+pulse = { high = "10 mN", width = "1 ms", edge = "10 us" }
+pins = { out = "mass.a" }
+[analysis]
+type = "transient"
+stop = "3 ms"
+"""
+PLATES = """[disc]
+part = "disc"
+[[disc.layers]]
+material = "brass"
+diameter = "20 mm"
+thickness = "0.2 mm"
+[[disc.layers]]
+material = "PZT-5A"
+diameter = "14 mm"
+thickness = "0.2 mm"
+electrodes = "12.8 mm"
+[drive]
+part = "source"
+ac = "1 V"
+pins = { out = "disc.anode" }
+[analysis]
+type = "ac"
+start = "1 kHz"
+stop = "14 kHz"
+"""
+
+
+def test_a_file_name_with_blanks_needs_quotes(cli):
+    Path("my scene.toml").write_text(SPRING)
+    found = rows_of_error(cli("run", "my", "scene.toml").stderr)
+    assert found["next"] == "put quotes around the name of the file: 'my scene.toml'"
+    assert cli("run", "my scene.toml", "-o", "out").exit_code == 0
+    found = rows_of_error(cli("run", "your", "scene.toml").stderr)
+    assert found["next"] == "delete scene.toml"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "frequency_hz,real_ohm,imag_ohm\n1e3,1,-10\n2e3,1,-5\n",
+        "# HZ S RI R 50\n1 0.5 0.5\n2 .5 1\n",
+    ],
+)
+def test_measured_values_as_scene(cli, text):
+    Path("good.csv").write_text(text)
+    output = cli("run", "good.csv").stderr
+    assert "this file is a table of numbers, not a scene" in output
+    assert rows_of_error(output)["next"].startswith("kc2spice reduce good.csv")
+
+
+@pytest.mark.parametrize(
+    ("typed", "unit", "advice"),
+    [
+        ("10 mV", "N", '"10 mN"  if the value is in mN'),
+        ("3 kOhm", "Hz", '"3 kHz"  if the value is in kHz'),
+        ("25 mN", "kg", '"25 mg"  if the value is in mg'),
+        ("5 V", "N", '"5 N"  if the value is in N'),
+        ("25 MG", "kg", '"25 mg"'),
+        ("25 KG", "kg", '"25 kg"'),
+    ],
+)
+def test_the_advice_about_a_wrong_unit_keeps_the_prefix(typed, unit, advice):
+    with pytest.raises(kc.errors.UsageError) as caught:
+        convert_quantity(typed, unit)
+    assert caught.value.hint == f"write  {advice}"
+    convert_quantity(advice.split('"')[1], unit)
+
+
+def test_a_voltage_is_a_key_of_a_source(refusal):
+    wrong = PLATES.replace('part = "disc"', 'part = "disc"\nvoltage = "5 V"')
+    advice = refusal(wrong)["next"]
+    assert advice.startswith("delete voltage: rated_voltage is only a limit")
+    assert 'part = "source"' in advice
+
+
+def test_the_voltage_of_a_stack_is_a_key_of_its_drive():
+    with pytest.raises(kc.errors.UsageError) as caught:
+        kc.load_scene("impact", ["kick.voltage=50"])
+    assert caught.value.hint == "did you mean 'drive.voltage'?"
+    with pytest.warns(UserWarning, match="`drive` has no effect") as found:
+        kc.load_scene("impact", ["kick.drive.voltage=50"])
+    assert str(found[0].message).endswith('write  kick.electrical = "driven"')
+    driven = ["kick.drive.voltage=50", "kick.drive.start=0", "kick.electrical=driven"]
+    source = kc.load_scene("impact", driven).get_part("kick_drive")
+    assert source.keys.waveform(10e-6) == 50
+
+
+def test_a_run_with_a_drive_that_is_left_out():
+    """The drive of an open stack begins after the end of the run, and does not matter."""
+    with pytest.warns(UserWarning, match="`drive` has no effect"):
+        changed = kc.run("impact", overrides={"kick.drive.voltage": 50})
+    usual = kc.run("impact").metrics["min_position_m"]
+    assert changed.metrics["min_position_m"] == pytest.approx(usual, rel=1e-6)
+
+
+def test_whole_numbers_with_an_exponent(cli):
+    Path("my.toml").write_text(PLATES)
+    assert kc.load_scene("my.toml", ["analysis.points=1e2"]).analysis.points == 100
+    found = rows_of_error(cli("run", "my.toml", "--set", "analysis.points=1e9").stderr)
+    assert found["next"] == "lower analysis.points to 200000"
+    kc.load_scene("my.toml", ["analysis.points=200000"])
+    found = rows_of_error(cli("run", "my.toml", "--set", "analysis.points=2.5").stderr)
+    assert found["next"] == "write  points = 2"
+
+
+def test_an_amplitude_of_an_existing_source(refusal):
+    found = refusal(PLATES.replace('ac = "1 V"', 'dc = "1 V"'))
+    assert found["next"] == 'write  ac = "1 V"  in [drive]'
+    kc.load_scene(parse_toml(PLATES.replace('ac = "1 V"', 'dc = "1 V"\nac = "1 V"')))
+
+
+def test_the_order_of_a_reduction_is_named(cli):
+    Path("my.toml").write_text(PLATES)
+    found = cli("run", "my.toml", "--set", "disc.rom.order=1")
+    assert found.exit_code == 5
+    assert "the reduced model of order 1 is too inaccurate" in found.stderr
+    assert rows_of_error(found.stderr)["next"].startswith("delete disc.rom.order, so that")
+    assert cli("run", "my.toml", "-o", "out").exit_code == 0
+
+
+@pytest.mark.slow
+def test_short_steps_do_not_advise_a_step_that_the_scene_does_not_state(cli):
+    """At 1e12 N/m, a mass of 25 mg has 95 000 undamped cycles in 3 ms: too many to follow."""
+    Path("my.toml").write_text(SPRING)
+    stiff = ("run", "my.toml", "--set", "spring.stiffness=1e12", "--set", "solver.retries=0")
+    found = rows_of_error(cli(*stiff).stderr)
+    assert "max_step" not in found["next"]
+    assert "lower the end time; what needs short steps is a motion at 31.83 MHz" in found["next"]
+    assert cli(*stiff, "--set", "analysis.stop=10 us").exit_code == 0
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong", "advice"),
+    [
+        ('"1 kN/m"', "1,5", "write  stiffness = 1.5"),
+        ('"1 kN/m"', "1,5 kN/m", 'write  stiffness = "1.5 kN/m"'),
+        ('width = "1 ms"', "width = 0,001", None),
+        ("[mass]", "[mass 1]", "write  [mass_1]"),
+    ],
+)
+def test_commas_and_blanks_in_toml(refusal, right, wrong, advice):
+    found = refusal(SPRING.replace(right, wrong))
+    if advice is None:
+        advice = 'write  pulse = { high = "10 mN", width = 0.001, edge = "10 us" }'
+    assert found["next"] == advice
+    corrected = SPRING.replace(right, wrong)
+    line = next(row for row in corrected.splitlines() if wrong in row)
+    corrected = corrected.replace(line, advice.removeprefix("write  "))
+    kc.load_scene(
+        parse_toml(corrected.replace("mass.a", "mass_1.a") if "_1" in advice else corrected)
+    )
+
+
+def test_a_disc_without_ceramic_is_named_before_its_electrodes(refusal):
+    found = refusal(PLATES.replace("PZT-5A", "brass"))
+    assert found["next"] == 'write  material = "PZT-5A"  in one of the layers'
+
+
+def test_a_misspelt_mesh_file(cli):
+    Path("bar.msh").write_text("$MeshFormat\n4.1 0 8\n$EndMeshFormat\n")
+    Path("my.toml").write_text(
+        '[bar]\npart = "body"\nmesh = "bra.msh"\nunit = "mm"\nmaterials = { s = "steel" }\n'
+        'ports = [{ name = "tip", at = [0, 0, 0], axis = "z" }]\n'
+    )
+    output = cli("run", "my.toml").stderr
+    assert "my.toml, line 3, key bar.mesh: this file does not exist" in output
+    assert rows_of_error(output)["next"] == "did you mean 'bar.msh'?"
+
+
+def test_an_override_that_contradicts_a_data_sheet_is_named(cli):
+    """With qes = 2 pi fs mms re / bl^2 and qms = 5.6, qts is 0.2237."""
+    speaker = {"part": "loudspeaker", "fs": "37 Hz", "re": "6 Ohm", "qms": 5.6, "mms": "109.5 g",
+               "bl": "25.6 N/A", "pins": {"plus": "s.out"}}  # fmt: skip
+    scene = {"s": {"part": "source", "ac": "1 V"}, "analysis": {"type": "ac", "stop": "1 kHz"}}
+    scene["m"] = speaker
+    with pytest.raises(kc.errors.UsageError) as caught:
+        kc.load_scene(scene, {"m.qts": 0.9})
+    error = caught.value
+    assert error.message.startswith("qts contradicts ")
+    assert "e+" not in error.expected
+    advice = re.fullmatch(r"write qts = ([\d.]+), or delete qts", error.hint)
+    qes = 2 * math.pi * 37 * 109.5e-3 * 6 / 25.6**2
+    assert float(advice[1]) == pytest.approx(5.6 * qes / (5.6 + qes), rel=1e-3)
+    kc.load_scene(scene, {"m.qts": float(advice[1])})

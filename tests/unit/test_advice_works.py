@@ -12,8 +12,8 @@ from support import (
     UsageError,
     convert_quantity,
     did_you_mean,
-    name_arguments,
-    name_options,
+    replace_arguments_by_options,
+    replace_options_by_arguments,
     require_passed,
     subcircuit,
 )
@@ -123,9 +123,9 @@ def test_a_failed_check_describes_value_and_limit_of_the_input():
         ('pins = ["battery.out", "gnd"]', "pins is not a table",
          'write  pins = { a = "battery.out", b = "gnd" }'),
         ('pins = "battery.out"', "pins is not a table", 'write  pins = { a = "battery.out" }'),
-        ('pins = { a = ["battery.out"] }', "the pin a is not connected to one pin",
+        ('pins = { a = ["battery.out"] }', "the pin a must be connected to exactly one pin",
          'write  a = "battery.out"'),
-        ("pins = { a = 3 }", "the pin a is not connected to one pin",
+        ("pins = { a = 3 }", "the pin a must be connected to exactly one pin",
          'write  a = "battery.out"'),
         ("pins = 3", "pins is not a table", 'write  pins = { a = "battery.out" }'),
     ],
@@ -175,9 +175,9 @@ def test_tolerance_and_order_in_the_words_of_each_interface(cli):
 )
 def test_options_and_arguments_translate_into_each_other(option, argument):
     error = kc.errors.UsageError(option, hint=option)
-    name_arguments(error)
+    replace_options_by_arguments(error)
     assert (error.message, error.hint) == (argument, argument)
-    name_options(error, ("band", "shunt", "order", "vary", "tolerance"))
+    replace_arguments_by_options(error, ("band", "shunt", "order", "vary", "tolerance"))
     assert (error.message, error.hint) == (option, option)
 
 
@@ -190,7 +190,7 @@ def test_options_and_arguments_translate_into_each_other(option, argument):
         ('resistance = "1 kOhm"', 'R = "1 kOhm"', "unknown key", "write resistance in place of R"),
         ('resistance = "1 kOhm"', 'ohmic = "1 kOhm"', "unknown key",
          "write resistance in place of ohmic"),
-        ('part = "resistor"', 'type = "resistor"', "no key part",
+        ('part = "resistor"', 'type = "resistor"', "the key `part` is missing",
          r'write  part = "resistor"  in place of type'),
         ('resistance = "1 kOhm"', 'resistance = ["1 kOhm"]', "not a quantity",
          'without brackets: "1 kOhm"'),
@@ -323,7 +323,8 @@ def test_units_outside_of_the_si_are_converted(typed, unit, advice):
     [
         ("buzzer_noise", "analysis.start=0", "a noise analysis cannot begin at 0 Hz",
          'add  start = "20 Hz"'),
-        ("sounder_in_housing", "listener.angle=120", "behind the baffle", "lower angle to 90"),
+        ("sounder_in_housing", "listener.angle=120", "behind the baffle",
+         "lower the key `angle` to 90"),
         ("sounder_in_housing", "hole.area=7 mm2", "the duct has two sizes", "delete area"),
         ("gap_biased", "gap.travel=9 um", "behind the fixed electrode",
          "lower travel below 1e-06 m"),
@@ -400,7 +401,7 @@ def test_a_missing_mesh_file_and_an_unknown_unit(cli):
 
 @pytest.mark.parametrize(
     ("losses", "cause"),
-    [([0.1, 0.1], "a nonzero entry of C B"), ([0.1, 0.0], "an output of the port that jumps")],
+    [([0.1, 0.1], "an output whose rate jumps"), ([0.1, 0.0], "an output that jumps")],
 )
 def test_an_acceleration_port_without_its_massless_states_has_a_netlist(losses, cause):
     """The second state has no mass. With the input u, it has ``d x2' + 2 x2 = x1 + u``."""

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from support import Waveforms, bench, load_scene, refine
+from support import Waveforms, bench, load_scene, settings_refinement
 
 
 def simulator(scene, *_, **__):
@@ -23,7 +23,7 @@ def simulator(scene, *_, **__):
 @pytest.fixture(autouse=True, scope="module")
 def timed_again():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(refine, "repeat_timing", lambda run: run.cpu_s)
+        patch.setattr(settings_refinement, "repeat_timing", lambda run: run.cpu_s)
         yield
 
 
@@ -31,7 +31,7 @@ def timed_again():
 def made(tmp_path_factory):
     out = tmp_path_factory.mktemp("bench") / "out"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(refine, "evaluate_scene", simulator)
+        patch.setattr(settings_refinement, "evaluate_scene", simulator)
         record = bench.bench(load_scene("impact", ["bench.metric=[]"]), out, error=1e-4, repeats=2)
     return record, out
 
@@ -66,7 +66,7 @@ def test_recommendation_does_not_rely_on_errors_that_cancel(record):
 
 
 def test_nothing_within_the_error_is_exit_code_4(monkeypatch, cli):
-    monkeypatch.setattr(refine, "evaluate_scene", simulator)
+    monkeypatch.setattr(settings_refinement, "evaluate_scene", simulator)
     called = ["bench", "impact", "--error", "1e-9", "--metric", "speed", "--repeats", "1"]
     result = cli(*called, "--json", "--quiet", "--out", "o")
     assert result.exit_code == 4

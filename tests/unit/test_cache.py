@@ -171,7 +171,7 @@ def test_two_processes_build_a_common_entry_once(folder):
 NEUTRAL = {
     "kc2spice.core.cache", "kc2spice.core.errors", "kc2spice.core.memory", "kc2spice.core.progress",
     "kc2spice.core.memory_store",
-    "kc2spice.scene.model", "kc2spice.scene.parttype", "kc2spice.scene.part_records",
+    "kc2spice.scene.scene_classes", "kc2spice.scene.parttype", "kc2spice.scene.part_records",
     "kc2spice.scene.settings",
 }  # fmt: skip
 SMALL = ("kick.layers=2", "kick.mesh.sectors=4", "kick.mesh.rings=1", "kick.mesh.outer_rings=1",

@@ -28,7 +28,7 @@ class Keys(kc.Section):
 HEAT, MOTION = (branch("temperature"),), (displacement("x", "a", "b"),)
 FLUID = (branch("volume_velocity"),)
 MISTAKES = {
-    "an unknown key": (HEAT, "coenergy", "0.5*h*temperature^2", "unknown name", "add the key h"),
+    "an unknown key": (HEAT, "coenergy", "0.5*h*temperature^2", "unknown name", "add the key `h`"),
     "energy of a temperature": (HEAT, "energy", "g*temperature^2", "must not depend on temperature",
                                 "in coenergy, and losses in content"),
     "loss in the coenergy": (MOTION, "coenergy", "g*x_rate^2", "must not depend on x_rate",

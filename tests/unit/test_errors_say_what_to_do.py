@@ -326,7 +326,7 @@ def test_a_list_without_its_end(divider):
 def test_a_table_that_a_file_has_twice(divider):
     code, said = divider("[r2]", "[battery]")
     assert code == 2
-    assert "own.toml, line 10: the table [battery] is on line 3 already" in said["head"]
+    assert "own.toml, line 10: line 3 already contains the table [battery]" in said["head"]
     assert said["next"].startswith("rename the second [battery] (line 10)")
     code, said = divider('dc = "10 V"', 'dc = "10 V"\ndc = "12 V"')
     assert (code, said["got"]) == (2, 'dc = "12 V"')
@@ -419,8 +419,8 @@ def test_a_key_without_effect_in_the_analysis(divider, line):
     code, said = divider('type = "op"', f'type = "op"\n{line}')
     key = line.split()[0]
     assert code == 2
-    assert f"analysis.{key}: the key {key} has no effect in the op analysis" in said["head"]
-    assert said["next"] == f"delete the key {key} of [analysis]"
+    assert f"analysis.{key}: the key `{key}` has no effect in the op analysis" in said["head"]
+    assert said["next"] == f"delete the key `{key}` of [analysis]"
 
 
 def test_measurements_and_models_that_do_not_exist(cli):

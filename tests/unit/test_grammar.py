@@ -74,7 +74,7 @@ MISTAKES = {
         12, "lower.part", ["this part type does not exist", "'resitor'", "did you mean 'resistor'"],
     ),
     "no key part": (
-        _changed('part = "source"\n', ""), 1, "supply", ["has no key part", "part = one of"],
+        _changed('part = "source"\n', ""), 1, "supply", ["key `part` is missing", "part = one of"],
     ),
     "unknown key": (
         _changed("resistance = 3e3", "resistence = 3e3"),
@@ -158,7 +158,7 @@ MISTAKES = {
     ),
     "a level without a crossing": (
         DIVIDER + '\n[probes]\ntop = { of = "lower.v", level = 1.0 }\n',
-        19, "probes.top", ["level has no effect with take", "delete the key level"],
+        19, "probes.top", ["level has no effect with take", "delete the key `level`"],
     ),
 }  # fmt: skip
 

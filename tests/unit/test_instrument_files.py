@@ -1,6 +1,7 @@
 """Files of instruments: every layout against its circuit, what is ambiguous, and damaged files."""
 
 import random
+import re
 import resource
 import time
 from pathlib import Path
@@ -113,7 +114,7 @@ def test_the_commands_accept_a_shunt(tmp_path):
     done = CliRunner().invoke(app, [*words, "--shunt", "330 Ohm", "-o", str(tmp_path / "no")])
     assert done.exit_code == 2
     assert "--shunt: this option applies only to a table of gain" in done.output
-    with pytest.raises(REFUSED, match="shunt: this argument applies only to a file"):
+    with pytest.raises(REFUSED, match="the argument shunt applies only to a file"):
         kc.fit(
             "buzzer_7bb_20_3", "disc", read_measured(impedance), {"damping.quality": None}, shunt=3
         )
@@ -175,7 +176,8 @@ AMBIGUOUS = {
         ("'Data Trace Imag'", "the format |Z|")),
     "commas of both kinds": (
         "a.csv", "f_hz,R,X\n" + "".join(f"{k},5,{k},25,{k},125\n" for k in range(10, 40)),
-        ("separators of the 6 columns",)),
+        ("the comma separates the 3 columns, and it is also the decimal character",
+         "semicolons between the columns")),
     "radians that are degrees": (
         "a.csv", "FREQ[Hz],Z[ohm],PHASE[rad]\n" + rows(F, abs(Z), DEG), ("exceeds a full turn",)),
     "farad squared": (
@@ -484,3 +486,123 @@ def test_five_hundred_mutants_are_read_or_refused(tmp_path, seed):
     wrong, read = judged(tmp_path, 500, seed)
     assert not wrong, wrong
     assert read > 200
+
+
+HEAD = "f_hz,R (Ohm),X (Ohm)\n"
+
+
+@pytest.mark.parametrize("end", ["110000,53", "110000,", "110000"])
+def test_a_truncated_last_row_is_left_out_with_a_note(tmp_path, end):
+    path = written(tmp_path, "a.csv", HEAD + rows(F, Z.real, Z.imag) + end)
+    data = read_measured(path)
+    assert len(data.f) == len(F)
+    count = len(end.rstrip(",").split(","))
+    note = f"line {len(F) + 2} has {count} of 3 columns: 1 of {len(F) + 1} rows left out"
+    assert note in data.notes
+
+
+def test_a_truncated_row_inside_the_table_does_not_divide_it(tmp_path):
+    lines = rows(F, Z.real, Z.imag).splitlines()
+    lines[40] = lines[40].rpartition(",")[0]
+    data = read_measured(written(tmp_path, "a.csv", HEAD + "\n".join(lines)))
+    np.testing.assert_allclose(data.Y[:, 0, 0], np.delete(Y, 40), rtol=1e-6)
+    assert f"line 42 has 2 of 3 columns: 1 of {len(F)} rows left out" in data.notes
+
+
+@pytest.mark.parametrize("word", ["OVL", "nan", "--"])
+def test_rows_of_one_word_are_counted(tmp_path, word):
+    lines = rows(F, Z.real, Z.imag).splitlines()
+    few = [*lines[:9], *[f"{word},{word},{word}"] * 2, *lines[9:]]
+    data = read_measured(written(tmp_path, "a.csv", HEAD + "\n".join(few)))
+    np.testing.assert_allclose(data.Y[:, 0, 0], Y, rtol=1e-6)
+    assert any(f"2 of {len(F) + 2} rows left out" in note for note in data.notes)
+    many = [f"{word},{word},{word}" if k % 5 == 3 else line for k, line in enumerate(lines)]
+    with pytest.raises(REFUSED) as caught:
+        read_measured(written(tmp_path, "b.csv", HEAD + "\n".join(many)))
+    count = sum(k % 5 == 3 for k in range(len(F)))
+    assert f"line 5: {word!r} in column 'f_hz' is not a number" in caught.value.message
+    assert f"{count} of {len(F)} rows have a fault, more than 5 %" in caught.value.message
+    assert caught.value.hint == "measure these points again, or delete these rows from the file"
+    kept = [line for line in many if word not in line]
+    assert len(read_measured(written(tmp_path, "b.csv", HEAD + "\n".join(kept))).f) == len(kept)
+
+
+def test_decimal_commas_beside_separating_commas(tmp_path):
+    text = rows(F, Z.real, Z.imag)
+    with pytest.raises(REFUSED) as caught:
+        read_measured(written(tmp_path, "a.csv", HEAD + text.replace(".", ",")))
+    assert "the comma separates the 3 columns, and it is also the decimal" in caught.value.message
+    assert "semicolons between the columns" in caught.value.hint
+    right = (HEAD + text).replace(",", ";").replace(".", ",")
+    assert len(read_measured(written(tmp_path, "a.csv", right)).f) == len(F)
+
+
+def reflections(form):
+    """Lines of a Touchstone file in the form RI or MA."""
+    pair = (S.real, S.imag) if form == "RI" else (abs(S), np.rad2deg(np.angle(S)))
+    return rows(F, *pair, separator=" ")
+
+
+def test_a_touchstone_file_needs_an_option_line(tmp_path):
+    text = reflections("RI")
+    with pytest.raises(REFUSED) as caught:
+        read_measured(written(tmp_path, "a.s1p", text))
+    assert "the option line with the unit and the format is missing" in caught.value.message
+    line = re.search("#.*?R 50", caught.value.hint)[0]
+    data = read_measured(written(tmp_path, "a.s1p", f"{line}\n{text}"))
+    np.testing.assert_allclose(data.Y[:, 0, 0], Y, rtol=1e-5)
+
+
+@pytest.mark.parametrize(("name", "columns", "width"), [("a.s1p", 2, 3), ("a.s2p", 5, 9)])
+def test_a_touchstone_file_with_missing_columns(tmp_path, name, columns, width):
+    text = rows(F, *[S.real] * (columns - 1), separator=" ")
+    with pytest.raises(REFUSED) as caught:
+        read_measured(written(tmp_path, name, "# Hz S RI R 50\n" + text))
+    assert f"line 2 contains {columns} numbers" in caught.value.message
+    assert f"has {width} numbers in each line" in caught.value.message
+
+
+def nearly_open(form, head):
+    """A resonator whose reflection is so close to 1 that real and imaginary parts are small."""
+    f = np.linspace(2e3, 12e3, 300)
+    w = 2j * np.pi * f
+    admittance = 8e-9 * w + 1 / (500 + 0.6 * w + 1 / (1.05e-9 * w))
+    s = (1 - 50 * admittance) / (1 + 50 * admittance)
+    z = 1 / admittance
+    pair = (s.real, s.imag) if form == "RI" else (abs(z), np.angle(z))
+    return head + rows(f, *pair, separator=" " if form == "RI" else ",")
+
+
+@pytest.mark.parametrize(
+    ("name", "form", "head", "wrong", "right", "words"),
+    [
+        ("a.s1p", "RI", "# Hz S {} R 50\n", "MA", "RI", "write RI in place of MA"),
+        ("a.csv", "rad", "Frequency (Hz),|Z| (Ohm),phase ({})\n", "deg", "rad",
+         "if the phases are in radians, write rad in the title"),
+    ],
+)  # fmt: skip
+def test_a_failed_fit_names_the_doubtful_format(tmp_path, name, form, head, wrong, right, words):
+    path = written(tmp_path, name, nearly_open(form, head.format(wrong)))
+    with pytest.raises(kc.errors.Kc2spiceError) as caught:
+        reduce_file(path, tmp_path / "out")
+    assert words in caught.value.hint
+    assert not (tmp_path / "out").exists()
+    path = written(tmp_path, name, nearly_open(form, head.format(right)))
+    assert reduce_file(path, tmp_path / "out")["error_estimate"] < 1e-3
+
+
+def test_a_spreadsheet_is_refused_with_the_name_of_a_table(tmp_path):
+    (tmp_path / "meas.xlsx").write_bytes(b"PK")
+    with pytest.raises(REFUSED, match="is a spreadsheet") as caught:
+        reduce_file(tmp_path / "meas.xlsx")
+    assert caught.value.hint == "save the sheet with the measurement as meas.csv"
+
+
+def test_a_wrong_resistance_at_zero_frequency_lists_the_word_open(tmp_path):
+    path = written(tmp_path, "a.csv", nearly_open("rad", "f_hz,|Z| (Ohm),phase (rad)\n"))
+    for typed in ("closed", "0 Ohm"):
+        with pytest.raises(REFUSED) as caught:
+            reduce_file(path, tmp_path / "out", dc=typed)
+        assert "the word open for a one-port without direct current" in caught.value.expected
+        assert caught.value.hint
+    assert reduce_file(path, tmp_path / "out", dc="open")["error_estimate"] < 1e-3

@@ -5,7 +5,7 @@ import os
 import numpy as np
 import pytest
 from scipy import sparse
-from support import processor, stability
+from support import openblas_kernels, stability
 
 SIDE = 20  # nodes of a cube in each direction: 8 000 unknowns
 
@@ -61,15 +61,15 @@ def test_a_singular_matrix_needs_its_factor():
 
 
 def test_kernels_follow_the_processor_and_the_user(monkeypatch):
-    monkeypatch.delenv(processor.CORE_TYPE_VARIABLE, raising=False)
-    skylake = processor.KERNELS["SkylakeX"] | {"sse2"}
-    assert processor.select_kernels(skylake) == "SkylakeX"
-    assert processor.select_kernels(skylake - {"avx512vl"}) == "Haswell"
-    assert processor.select_kernels({"sse2"}) is None
-    monkeypatch.setattr(processor, "read_processor_flags", lambda: skylake)
-    with processor.use_fast_kernels():
-        assert os.environ[processor.CORE_TYPE_VARIABLE] == "SkylakeX"
-    assert processor.CORE_TYPE_VARIABLE not in os.environ
-    monkeypatch.setenv(processor.CORE_TYPE_VARIABLE, "Zen")
-    with processor.use_fast_kernels():
-        assert os.environ[processor.CORE_TYPE_VARIABLE] == "Zen"
+    monkeypatch.delenv(openblas_kernels.CORE_TYPE_VARIABLE, raising=False)
+    skylake = openblas_kernels.KERNELS["SkylakeX"] | {"sse2"}
+    assert openblas_kernels.select_kernels(skylake) == "SkylakeX"
+    assert openblas_kernels.select_kernels(skylake - {"avx512vl"}) == "Haswell"
+    assert openblas_kernels.select_kernels({"sse2"}) is None
+    monkeypatch.setattr(openblas_kernels, "read_processor_flags", lambda: skylake)
+    with openblas_kernels.use_fast_kernels():
+        assert os.environ[openblas_kernels.CORE_TYPE_VARIABLE] == "SkylakeX"
+    assert openblas_kernels.CORE_TYPE_VARIABLE not in os.environ
+    monkeypatch.setenv(openblas_kernels.CORE_TYPE_VARIABLE, "Zen")
+    with openblas_kernels.use_fast_kernels():
+        assert os.environ[openblas_kernels.CORE_TYPE_VARIABLE] == "Zen"

@@ -128,7 +128,8 @@ def test_bad_measurements_are_refused(tmp_path, header, columns, said):
 
 def test_a_directory_that_cannot_be_written_is_noticed_before_the_fit(tmp_path, monkeypatch):
     monkeypatch.setattr(
-        "kc2spice.workflow.reduce_files.fit_one_port", lambda *_: pytest.fail("fitted")
+        "kc2spice.workflow.reduction_of_models_from_files.fit_one_port",
+        lambda *_: pytest.fail("fitted"),
     )
     Y = admittance()
     path = table(tmp_path / "part.csv", "f_hz,g_s,b_s", F, Y.real, Y.imag)

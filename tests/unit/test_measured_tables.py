@@ -108,7 +108,7 @@ def test_commas_between_thousands_and_before_decimals(tmp_path):
         ("freq (Hz),R (deg),X (Ohm)", r"column 'R \(deg\)': 'deg' is no unit of impedance"),
         ("freq (Hz),Trace A Real,Trace A Imag", "unknown columns: 'Trace A Real', 'Trace A Imag'"),
         ("freq (Hz),s11,phase (deg)", "column 's11' has no unit"),
-        ("freq (Hz),R (Ohm)", "separators of the 3 columns"),
+        ("freq (Hz),R (Ohm)", "separated like the 3 columns"),
         ("freq (Hz),Cp (MF),D", "milli or mega"),
     ],
 )

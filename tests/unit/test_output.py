@@ -114,7 +114,8 @@ def publish(out, label):
             (work / name).write_text(label)
 
 
-@pytest.mark.parametrize("kill_at", range(len(FILES)))
+@pytest.mark.filterwarnings("ignore:replaced .* which was edited or has an unknown origin")
+@pytest.mark.parametrize("kill_at", range(len(FILES) + 3))  # three netlists become copies first
 def test_a_kill_between_two_renames_never_leaves_a_mixture(kill_at, tmp_path, monkeypatch):
     """The record and the deck go first and come last, so what they stand for is whole."""
     out = tmp_path / "out"
@@ -136,9 +137,9 @@ def test_a_kill_between_two_renames_never_leaves_a_mixture(kill_at, tmp_path, mo
     found = {path.name: path.read_text() for path in out.iterdir()}
     assert "result.json" not in found
     if "bench.cir" in found:
-        assert {found[name] for name in FILES[:-1]} == {"new"}
+        assert len({found[name] for name in FILES[:-1]}) == 1
     publish(out, "third")
-    assert {path.read_text() for path in out.iterdir()} == {"third"}
+    assert {(out / name).read_text() for name in FILES} == {"third"}
 
 
 def test_only_work_directories_of_ended_runs_are_deleted(tmp_path):
@@ -248,3 +249,69 @@ def test_runs_saved_results_and_reduced_models_protect_other_decks(tmp_path):
     kc.run(fall, tmp_path, overrides={"sphere.radius": 2e-3})
     other.save(tmp_path)  # in place of the deck of the run before
     assert not (tmp_path / "fall.cir").exists()
+
+
+LAMP = {
+    "name": "lamp",
+    "drive": {"part": "source", "dc": "12 V"},
+    "lamp": {"part": "resistor", "resistance": "6 Ohm", "pins": {"a": "drive.out"}},
+    "analysis": {"type": "op"},
+    "probes": {"current_a": {"of": "lamp.i"}},
+}
+
+
+def add_line(path, line="* mine\n"):
+    path.write_text(path.read_text() + line)
+    return path.read_text()
+
+
+@pytest.mark.parametrize("write", [kc.export, kc.run])
+def test_an_edited_deck_is_kept_as_a_copy(tmp_path, write):
+    out, deck = tmp_path / "out", tmp_path / "out" / "lamp.cir"
+    write(LAMP, out)
+    written = deck.read_text()
+    write({**LAMP, "drive": {"part": "source", "dc": "6 V"}}, out)  # an unedited deck has no copy
+    write(LAMP, out)
+    assert not list(out.glob("*.bak*"))
+    texts = [add_line(deck)]
+    with pytest.warns(UserWarning, match=r"replaced .*out/lamp\.cir, which was edited.*cir\.bak$"):
+        write(LAMP, out)
+    assert deck.read_text() == written
+    texts.append(add_line(deck, "* second\n"))
+    with pytest.warns(UserWarning, match=r"lamp\.cir\.bak2$"):
+        write(LAMP, out)
+    write(LAMP, out)
+    assert sorted(path.name for path in out.glob("*.bak*")) == ["lamp.cir.bak", "lamp.cir.bak2"]
+    assert [(out / name).read_text() for name in ("lamp.cir.bak", "lamp.cir.bak2")] == texts
+    metrics = kc.run(LAMP, deck=out / "lamp.cir.bak").metrics
+    assert metrics["current_a"] == pytest.approx(2.0)
+
+
+def test_a_netlist_of_unknown_origin_is_kept_as_a_copy(tmp_path):
+    deck = tmp_path / "lamp.cir"
+    deck.write_text("* drawn by another program\n")
+    with pytest.warns(UserWarning, match="unknown origin"):
+        kc.export(LAMP, tmp_path)
+    assert (tmp_path / "lamp.cir.bak").read_text() == "* drawn by another program\n"
+
+
+def test_runs_and_exports_into_one_directory_make_no_copies(tmp_path):
+    for write in (kc.export, kc.run, kc.export, kc.run):
+        for volts in ("12 V", "6 V"):
+            write({**LAMP, "drive": {"part": "source", "dc": volts}}, tmp_path)
+    kc.export(LAMP, tmp_path, dialect="ltspice")
+    kc.export(LAMP, tmp_path)
+    kc.run(LAMP, tmp_path, deck=tmp_path / "lamp.cir")
+    assert not list(tmp_path.glob("*.bak*"))
+
+
+@pytest.mark.parametrize("record", ["", "[]", '{"sha256": 3}', '{"sha256": {"lamp.cir": [1]}}'])
+def test_a_damaged_record_of_hashes_counts_as_none(tmp_path, record):
+    kc.export(LAMP, tmp_path)
+    (tmp_path / ".kc2spice.json").write_text(record)
+    kc.export(LAMP, tmp_path)
+    assert not list(tmp_path.glob("*.bak*"))
+    add_line(tmp_path / "lamp.cir")
+    (tmp_path / ".kc2spice.json").write_text(record)
+    with pytest.warns(UserWarning, match="unknown origin"):
+        kc.export(LAMP, tmp_path)

@@ -41,6 +41,39 @@ type = "op"
 [probes.current]
 of = "load.i"
 """
+MESH = Path(__file__).parents[1] / "data" / "coarse_unimorph.msh"
+HEAT = """gravity = 0
+[m]
+part = "heat_body"
+layers = [{ material = "silicon", thickness = "0.3 mm", area = "25 mm2" }]
+sources = { j = "top" }
+films = [{ group = "bottom", coefficient = "1 kW/(m2 K)" }]
+pins = { j = "l.out" }
+[l]
+part = "source"
+kind = "heat_flow"
+dc = "20 W"
+[analysis]
+type = "op"
+[probes]
+r_k = { of = "m.temperature.j", take = "max" }
+"""
+BAR = """[bar]
+part = "body"
+mesh = "u.msh"
+unit = "mm"
+materials = { steel = "steel", pzt = "steel" }
+fixed = ["root"]
+ports = [{ name = "tip", group = "topel", axis = "z" }]
+[push]
+part = "source"
+kind = "force"
+ac = "1 N"
+pins = { out = "bar.tip" }
+[analysis]
+type = "ac"
+stop = "1 kHz"
+"""
 
 
 def rows(text):
@@ -250,7 +283,7 @@ def test_a_scene_as_a_deck_and_a_misspelt_suffix(cli):
 @pytest.mark.parametrize(
     ("line", "otherwise", "place", "advice"),
     [
-        ('diameter = "14 mm"', 'radius = "7 mm"', 9, "use the key diameter"),
+        ('diameter = "14 mm"', 'radius = "7 mm"', 9, "use the key `diameter`"),
         ('material = "PZT-5A"', 'material = "PZT5A"', 8, "did you mean 'PZT-5A'?"),
         ('material = "PZT-5A"', 'material = "steel"', 1, 'material = "PZT-5A"'),
         ('thickness = "0.2 mm"\n[analysis]', 'thickness = "0.2 m"\n[analysis]', 10, '"200 um"'),
@@ -322,7 +355,7 @@ def test_a_port_beside_matrices(cli, table, head, advice):
         (lambda: kc.reduce(model(), tolerance=1, order=2), "either a tolerance",
          "leave out order"),
         (lambda: kc.LinearModel(M=np.eye(2), K=np.eye(2), B=np.ones(2)), "B has 1 dimensions",
-         "B.reshape(-1, 1)"),
+         "np.reshape(B, (-1, 1))"),
         (lambda: kc.LinearModel(K=np.eye(2), B=np.ones((2, 1))), "lacks matrices", "M=MASS_MATRIX"),
         (lambda: kc.LinearModel(M=np.eye(3), K=np.eye(2), B=np.ones((2, 1))), "M has a wrong size",
          "from the same mesh"),
@@ -338,7 +371,7 @@ def test_a_port_beside_matrices(cli, table, head, advice):
         (lambda: kc.run("impact", overrides=["sphere.radius"]), "overrides: the value of the key",
          "sphere.radius=1 mm"),
         (lambda: kc.export("impact", "out", dialect="spice"), "dialect: this dialect", "ngspice"),
-        (lambda: kc.reduce(model(), order=1.5), "not a number of states", "for example 1"),
+        (lambda: kc.reduce(model(), order=1.5), "not a positive whole number", "for example 1"),
         (lambda: kc.subcircuit(model(), "1 bad name"), "not a valid name", "n_1_bad_name"),
         (lambda: kc.load_scene({**LAMP, "probes": {"x": "lamp.i"}}), "not a table",
          'x = { of = "lamp.i" }'),
@@ -569,3 +602,55 @@ def test_a_body_without_electrodes_and_ports(cli):
     found = rows(cli("run", "own.toml").stderr)
     assert "a body needs electrodes or ports" in found["head"]
     assert "ports = [{" in found["next"]
+
+
+@pytest.mark.parametrize(
+    ("name", "scene", "line", "key", "wrong", "right"),
+    [
+        ("heat", HEAT, 5, "m.sources.j", 'j = "tip"', 'j = "top"'),
+        ("heat", HEAT, 6, "m.films[0].group", 'group = "under"', 'group = "bottom"'),
+        ("bar", BAR, 7, "bar.ports[0]", 'group = "tips"', 'group = "topel"'),
+        ("bar", BAR, 6, "bar.fixed", '"roots"', '"root"'),
+    ],
+)
+def test_an_unknown_group_is_located_in_the_scene(cli, name, scene, line, key, wrong, right):
+    Path("u.msh").write_text(MESH.read_text())
+    assert scene.count(right) == 1
+    Path(f"{name}.toml").write_text(scene.replace(right, wrong))
+    found = rows(cli("run", f"{name}.toml").stderr)
+    assert f" {name}.toml, line {line}, key {key}: the " in found["head"]
+    assert "no such group" in found["head"]
+    part = key.partition(".")[0]
+    for call in (kc.build, kc.run):
+        with pytest.raises(kc.errors.UsageError) as caught:
+            call(f"{name}.toml")
+        assert caught.value.where == f"{name}.toml, line {line}, key {key}"
+    tables = {"name": name, **parse_toml(scene.replace(right, wrong))}
+    if name == "heat":
+        with pytest.raises(kc.errors.UsageError) as caught:
+            kc.build(tables)
+        assert caught.value.where == f"scene, key {key}"
+    Path(f"{name}.toml").write_text(scene)
+    assert part in kc.build(f"{name}.toml")
+
+
+def test_the_resistance_of_the_last_layer_is_located(cli):
+    Path("heat.toml").write_text(HEAT.replace('area = "25 mm2"', 'area = "25 mm2", resistance = 1'))
+    assert "m.layers[0].resistance" in rows(cli("run", "heat.toml").stderr)["head"]
+
+
+@pytest.mark.parametrize("typed", ["0", "x", "2"])
+def test_an_example_of_an_option_is_its_default(cli, typed):
+    hint = rows(cli("bench", "impact", "--error", typed).stderr)["next"]
+    assert hint == "for example --error 0.0001" or hint == "for 2 %, write --error 0.02"
+
+
+def test_the_directory_of_another_sweep_is_described_without_hashes(cli):
+    Path("own.toml").write_text(DIVIDER)
+    key = "load.resistance="
+    assert cli("sweep", "own.toml", "--set", f"{key}1,2", "-o", "out", "-q").exit_code == 0
+    found = rows(cli("sweep", "own.toml", "--set", f"{key}1,2,3", "-o", "out", "-q").stderr)
+    assert "the results of another sweep" in found["head"]
+    assert found["got"] == "results of another scene, or of other keys, values or options"
+    assert found["expected"].startswith("a new directory")
+    assert cli("sweep", "own.toml", "--set", f"{key}1,2", "-o", "out", "-q").exit_code == 0

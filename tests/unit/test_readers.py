@@ -644,7 +644,7 @@ def test_a_square_c_beside_m_and_k_is_damping_or_outputs_by_word_only(tmp_path):
     refused(tmp_path / "m.npz", "outputs and damping_matrix are both C", side=both)
     side = sidecar(tmp_path, 'damping_matrix = "C"\n')
     np.savez(tmp_path / "e.npz", M=mass, C=C, E=C, K=stiff, B=load)
-    refused(tmp_path / "e.npz", "no damping matrix of this name", side=side)
+    refused(tmp_path / "e.npz", "does not fit the matrices of the model", side=side)
     with pytest.raises(UsageError, match="whether matrix C is the damping matrix"):
         LinearModel(M=mass, C=C, K=stiff, B=load)
     assert LinearModel(M=mass, C=C, K=stiff, B=load, rayleigh=(0, 0)).pencil.is_undamped

@@ -20,7 +20,7 @@ def chain(n, dashpot, **more):
         ({"tolerance": 1e-3, "order": 3}, "either a tolerance or an order"),
         ({"tolerance": 0.9e-10}, "out of range"),
         ({"tolerance": 1.0}, "out of range"),
-        ({"order": 0}, "not a number of states"),
+        ({"order": 0}, "not a positive whole number"),
         ({"order": 3, "band": (0.0, 0.0)}, "not a frequency band"),
         ({"order": 3, "band": (0.2, 0.1)}, "not a frequency band"),
         ({"order": 3, "band": (-0.1, 0.1)}, "not a frequency band"),

@@ -73,7 +73,7 @@ def test_networks_share_nothing_but_ground():
     assert not any(network.has_sources_only for network in laws.networks)
 
 
-@pytest.mark.parametrize("module", ["scene_laws", "networks", "replay"])
+@pytest.mark.parametrize("module", ["scene_laws", "networks", "recorded_sources"])
 def test_laws_load_no_solver(module):
     code = f"import sys, kc2spice.equations.{module}; print('scipy' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

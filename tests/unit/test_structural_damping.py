@@ -7,7 +7,7 @@ from support import (
     Port,
     UsageError,
     add_structural_damping,
-    compute_causal_loss_factor,
+    compute_causal_stiffness_factor,
     fit_relaxing_stiffness,
 )
 
@@ -24,11 +24,11 @@ def test_a_relaxing_stiffness_loses_the_same_share_at_all_frequencies(eta, band)
     power = (f / at) ** (2 * np.arctan(eta) / np.pi)
     assert np.abs(value) == pytest.approx(np.hypot(1, eta) * power, rel=0.02 * eta)
     assert (
-        np.abs(value / compute_causal_loss_factor(f, eta, at) - 1).max()
+        np.abs(value / compute_causal_stiffness_factor(f, eta, at) - 1).max()
         <= 1.01 * chi.error
         <= 0.03 * eta
     )
-    assert compute_causal_loss_factor(at, eta, at) == pytest.approx(1 + 1j * eta, rel=1e-12)
+    assert compute_causal_stiffness_factor(at, eta, at) == pytest.approx(1 + 1j * eta, rel=1e-12)
 
 
 def test_a_relaxing_stiffness_is_passive_at_all_frequencies():
@@ -69,7 +69,7 @@ def test_a_structurally_damped_chain_is_k_times_one_plus_j_eta():
     assert damped.symmetric
     f = np.sort(np.r_[np.geomspace(modes.min() / 3, 2 * modes.max(), 60), modes])
     for at, H in zip(f, damped.transfer(f), strict=True):
-        complex_stiffness = K * compute_causal_loss_factor(at, eta, modes.min())
+        complex_stiffness = K * compute_causal_stiffness_factor(at, eta, modes.min())
         exact = B.T @ np.linalg.solve(complex_stiffness - (2 * np.pi * at) ** 2 * M, B)
         assert np.abs(H / exact - 1).max() < 0.02
     poles = damped.poles()

@@ -85,7 +85,7 @@ def test_bad_ranges_name_the_option(text):
 @pytest.mark.parametrize(
     ("sets", "options", "word"),
     [
-        (("control.kd=10",), {}, "--set is missing"),
+        (("control.kd=10",), {}, "no option --set contains a range"),
         (("control.kd=10,20", "control.kd=30,40"), {}, "twice"),
         (("control.kd=10,20", "control.setpoint=50 mm"), {}, "force table"),
         (("sphere.density=7e3:-1:3",), {}, "out of range"),

@@ -237,7 +237,8 @@ def test_an_oscillation_is_no_heat_network(tmp_path):
 
 def test_a_directory_that_cannot_be_written_is_noticed_before_the_fit(tmp_path, monkeypatch):
     monkeypatch.setattr(
-        "kc2spice.workflow.reduce_files.fit_transient_network", lambda *_: pytest.fail("fitted")
+        "kc2spice.workflow.reduction_of_models_from_files.fit_transient_network",
+        lambda *_: pytest.fail("fitted"),
     )
     path = transient_file(tmp_path / "step.csv", TIME, RISE)
     with pytest.raises(kc.errors.UsageError, match="a file, not a directory"):
@@ -248,7 +249,7 @@ def test_two_temperatures_are_ambiguous(tmp_path):
     path = tmp_path / "two.csv"
     rows = "".join(f"{t},{y},{2 * y}\n" for t, y in zip(TIME, RISE, strict=True))
     path.write_text("time_s,tj_k,tc_k\n" + rows)
-    with pytest.raises(kc.errors.UsageError, match="more than one possible meaning"):
+    with pytest.raises(kc.errors.UsageError, match="can be read in more than one way"):
         read_transient(path)
 
 

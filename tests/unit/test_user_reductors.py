@@ -167,9 +167,11 @@ BAD = {
         "4 columns",
     ),
     "too many fixed vectors": (
-        lambda t: t.project(vectors(t), fixed=9), "not a number of vectors", "9"
+        lambda t: t.project(vectors(t), fixed=9), "not a valid number of leading vectors", "9"
     ),
-    "fixed text": (lambda t: t.project(vectors(t), fixed="all"), "not a number of vectors", "all"),
+    "fixed text": (
+        lambda t: t.project(vectors(t), fixed="all"), "not a valid number of leading vectors", "all"
+    ),
     "NaN": (lambda t: t.project(vectors(t) * np.nan), "not finite", "200 entries"),
     "infinity": (lambda t: t.project(vectors(t) / 0.0), "not finite", "200 entries"),
     "duplicate": (

@@ -1,7 +1,7 @@
 """Readers that convert matrices of other programs to linear models.
 
-The linear models have named ports, and the other programs are finite-element programs. The readers
-return linear models.
+The readers return linear models with named ports. The matrices come from finite-element programs,
+such as Abaqus, Ansys, CalculiX, COMSOL and Nastran.
 """
 
 from __future__ import annotations
@@ -16,11 +16,15 @@ from pathlib import Path
 
 import numpy as np
 
-from kc2spice.bodies.readers import program_formats, raw_matrices
+from kc2spice.bodies.readers import fem_program_formats, raw_matrices
 from kc2spice.bodies.readers import sidecar as _sidecar
 from kc2spice.bodies.readers.matrix_assembly import LabelledMatrices, assemble_model
+from kc2spice.bodies.readers.matrix_model_parameters import (
+    get_default_values,
+    make_model_parameter,
+    make_term,
+)
 from kc2spice.bodies.readers.mesh import read_nodes
-from kc2spice.bodies.readers.parameters import get_default_values, make_model_parameter, make_term
 from kc2spice.bodies.readers.sidecar import Sidecar, TermEntry, read_sidecar
 from kc2spice.core.errors import UsageError, wrong
 from kc2spice.rom.affine import AffineModel, AffineTerm, sum_affine_terms
@@ -203,7 +207,10 @@ def _read_matrix_terms(
                 raise wrong(
                     f"{settings.file_path}: terms[{number}]",
                     f"the model has no matrix {entry.matrix}",
-                    hint="add the key file or name, or the matrix to the model",
+                    hint=(
+                        f"add the key `file` or `name` to this term, or add matrix {entry.matrix} "
+                        "to the model"
+                    ),
                 )
             matrix = sound.pop(entry.matrix)
         terms.append(make_term(settings, number, matrix))
@@ -215,13 +222,14 @@ def _read_term(
 ) -> Matrix | None:
     """Read the matrix of a parameter-dependent term from its file.
 
-    Return None if the term has neither file nor matrix name. The factor of a term without file and
-    matrix name multiplies the matrix of the model.
+    Return None if the term has neither file nor matrix name. If a term states neither a file nor a
+    matrix name, its factor multiplies the model's matrix with the letter ``entry.matrix``, such as
+    K.
 
     Raises
     ------
-    UsageError : a file cannot be used, or the rows of the term's matrix differ from the rows of the
-        model.
+    UsageError : a file cannot be used, or the term's matrix has other nodes or degrees of freedom
+        than the model.
     """
     if entry.file is None and entry.name is None:
         return None
@@ -232,7 +240,7 @@ def _read_term(
             "this file format does not contain names of matrices",
             got=file.name,
             expected=f"a file whose name ends with {', '.join(NAMED_FORMATS)}",
-            hint="write the matrix into a separate file, and delete the key name of this term",
+            hint="write the matrix into a separate file, and delete the key `name` of this term",
         )
     if file.suffix.lower() in READERS:
         term = _read_files(file, {}, {letter: entry.name} if entry.name else {})
@@ -245,7 +253,8 @@ def _read_term(
             got=file.name,
             expected=f"matrix {letter}",
             hint=(
-                f"name matrix {letter} in {file.name}, or write the letter of a matrix that it has"
+                f"rename a matrix in {file.name} to {letter}, or set the key `matrix` of this "
+                "term to the name of a matrix in the file"
             ),
         )
     rows, others = model.dofs, term.dofs
@@ -280,15 +289,18 @@ def measure_mesh_extent(path: Path, sidecar: Path | None) -> np.ndarray | None:
 # file extensions that may follow NAME.K or NAME_K
 _MATRIX_SUFFIXES = ("", ".mtx", ".mm", ".txt", ".matrix", ".hb", ".rsa", ".rua")
 _MATRIX_FILE = re.compile(r"(.+)([._])([MEKABCD])(\.(?:mtx|mm|txt|matrix|hb|rsa|rua))?")
-# Key, in place of a matrix letter, of a single file that contains all matrices.
-# The key is used if the user writes the name of a model without a file extension.
+# Key of a file that contains all matrices, in a dictionary of files.
+# A file of a single matrix has the letter of the matrix, such as K, as its key.
+# A dictionary of files contains the key _SINGLE_FILE if the user writes the name of a model without
+# a file extension.
 _SINGLE_FILE = ""
 _MATLAB_EXPECTED = "a MATLAB file of version 5 to 7.2 with matrices, or with one mphmatrix struct"
 _ARRAYS_EXPECTED = (
     "an archive by numpy.savez(FILE, M=M, K=K, B=B); a scipy.sparse K as K.data, K.indices, "
     "K.indptr, K.shape and K.format, or in a file of its own, NAME.K.mtx, by scipy.io.mmwrite"
 )
-_JOB_EXPECTED = f"{', '.join(program_formats.SUFFIXES)} of one job"
+_JOB_EXPECTED = f"{', '.join(fem_program_formats.SUFFIXES)} of one job"
+SPREADSHEET_SUFFIXES = (".xlsx", ".xlsm", ".xls", ".ods")
 NAMED_FORMATS = (".npz", ".op4", ".pch")  # formats that contain names of matrices
 # Description and reader of each format with all matrices in one file, keyed by file extension.
 # The second argument of a reader is the mapping `matrices` in the TOML file.
@@ -298,16 +310,18 @@ READERS: Mapping[str, tuple[str, Callable[[Path, Mapping[str, str]], raw_matrice
     ".mat": (_MATLAB_EXPECTED, raw_matrices.make_isolated_reader(raw_matrices.unpack_matlab)),
     ".full": (
         "a symmetric .full file of Ansys",
-        raw_matrices.make_isolated_reader(program_formats.unpack_ansys_full),
+        raw_matrices.make_isolated_reader(fem_program_formats.unpack_ansys_full),
     ),
     ".op4": (
         "a Nastran OUTPUT4 file",
-        raw_matrices.make_isolated_reader(program_formats.unpack_op4),
+        raw_matrices.make_isolated_reader(fem_program_formats.unpack_op4),
     ),
-    **dict.fromkeys(program_formats.SUFFIXES, (_JOB_EXPECTED, program_formats.read_calculix)),
+    **dict.fromkeys(
+        fem_program_formats.SUFFIXES, (_JOB_EXPECTED, fem_program_formats.read_calculix)
+    ),
     **dict.fromkeys(
         (".pch", ".pch1", ".bdf", ".dat", ".nas", ".dmig"),
-        ("a punch file of Nastran", program_formats.read_dmig),
+        ("a punch file of Nastran", fem_program_formats.read_dmig),
     ),
 }
 
@@ -358,9 +372,9 @@ def _find_matrix_files(path: Path) -> tuple[Path, dict[str, Path]]:
 
     Return the path of the model without file extension, and the files keyed by letter.
     """
-    job = program_formats.find_abaqus_files(path)
+    job = fem_program_formats.find_abaqus_files(path)
     if job:
-        match = program_formats.ABAQUS_NAME.fullmatch(path.name)
+        match = fem_program_formats.ABAQUS_NAME.fullmatch(path.name)
         assert match is not None  # find_abaqus_files() has checked the form of the name
         return path.with_name(match[1]), job
     if path.suffix == ".toml":
@@ -412,7 +426,8 @@ def _read_files(
     """Read the matrices of a model without any conversion.
 
     ``files`` contains a file for each matrix. If ``files`` is empty, ``path`` contains all
-    matrices. ``requested`` maps letters to the names of the matrices in ``path``.
+    matrices. ``requested`` maps matrix letters, such as K, to the names of the matrices in
+    ``path``.
     """
     suffix = path.suffix.lower()
     if files:
@@ -436,9 +451,17 @@ def _read_files(
             hint="kc2spice reduce --help lists the kinds of files",
         )
     if suffix not in READERS:
+        if suffix in SPREADSHEET_SUFFIXES:
+            raise wrong(
+                str(path),
+                "this file is a spreadsheet, which kc2spice does not read",
+                got=path.name,
+                expected="a table of text, such as a .csv file",
+                hint=f"save the sheet with the measurement as {path.stem}.csv",
+            )
         hint = 'or name the files in NAME.toml: files = { K = "...", M = "..." }'
         got = "a file whose name does not end with the letter of a matrix"
-        raise raw_matrices.make_unusable_error(
+        raise raw_matrices.make_unusable_file_error(
             path, got, "names such as NAME.K, NAME_K.mtx or JOB_STIF1.mtx", hint
         )
     expected, read = READERS[suffix]
@@ -458,27 +481,27 @@ def _read_matrices(files: dict[str, Path]) -> raw_matrices.RawMatrices:
             result[letter] = raw_matrices.parse_file(
                 path, expected, partial(parse_matrix_market, allowed=allowed)
             )
-        elif program_formats.is_harwell_boeing(head):
-            read = partial(program_formats.read_harwell_boeing, allowed=allowed)
+        elif fem_program_formats.is_harwell_boeing(head):
+            read = partial(fem_program_formats.read_harwell_boeing, allowed=allowed)
             result[letter] = raw_matrices.parse_file(
-                path, program_formats.HARWELL_BOEING_EXPECTED, read
+                path, fem_program_formats.HARWELL_BOEING_EXPECTED, read
             )
             mapped += map(path.with_suffix, (".mapping", ".MAPPING"))
         elif (
-            letter in f"MEK{program_formats.LOSS_LETTER}" and path.suffix.lower() == ".mtx"
+            letter in f"MEK{fem_program_formats.LOSS_LETTER}" and path.suffix.lower() == ".mtx"
         ):  # matrix file of Abaqus
             tables[letter] = path
         else:
             expected = "Matrix Market, Harwell-Boeing, or an .mtx file of Abaqus"
             hint = f"save matrix {letter} as Matrix Market, such as by scipy.io.mmwrite"
             got = f"matrix {letter} in an unknown format"
-            raise raw_matrices.make_unusable_error(path, got, expected, hint)
+            raise raw_matrices.make_unusable_file_error(path, got, expected, hint)
     abaqus = raw_matrices.RawMatrices({})
     if tables:
         one = next(iter(tables.values()))
         expected = "stiffness, mass and damping of one job"
         abaqus = raw_matrices.call_reader(
-            one, expected, lambda: program_formats.read_abaqus(tables)
+            one, expected, lambda: fem_program_formats.read_abaqus(tables)
         )
     result |= abaqus.matrices
     dofs, names = abaqus.dofs, list(filter(raw_matrices.is_file, mapped))
@@ -486,7 +509,7 @@ def _read_matrices(files: dict[str, Path]) -> raw_matrices.RawMatrices:
         size = next(m.shape[0] for k, m in result.items() if k in "MEKA")
         expected = f"lines of equation, node and degree of freedom for {size} equations"
         dofs = raw_matrices.parse_file(
-            names[0], expected, partial(program_formats.read_mapping, size=size)
+            names[0], expected, partial(fem_program_formats.read_mapping, size=size)
         )
     return raw_matrices.RawMatrices(result, dofs, abaqus.fixed, files)
 

@@ -1,8 +1,8 @@
 """Meaning of column titles, and conversion of columns to SI units.
 
-A title that an instrument writes, such as ``Trace 2: Impedance: Phase (deg)`` or ``-Im(Z)/Ohm``, is
-divided into a sign, words and a unit. :mod:`kc2spice.bodies.readers.column_kinds` lists the known
-words and units. Columns whose title has no known meaning are not used.
+A column title, such as ``Phase (deg)`` or ``-Im(Z)/Ohm``, is divided into a sign, words and a unit.
+:mod:`kc2spice.bodies.readers.column_kinds` lists the known words and units. Columns whose title has
+no known meaning are not used.
 """
 
 from __future__ import annotations
@@ -79,13 +79,15 @@ class Column(EqualByContent):
     """Column of a measurement table, converted to SI units.
 
     ``values`` has the shape (n,); angles are in rad. ``note`` describes an assumption about the
-    unit, and ``unit`` is the name of the unit in the file.
+    unit, and ``unit`` is the name of the unit in the file. ``doubt`` describes why the unit in the
+    title may be wrong, and how to correct it; it is empty if the values fit the unit.
     """
 
     title: ColumnTitle
     values: np.ndarray
     note: str
     unit: str
+    doubt: str = ""
 
     def __str__(self) -> str:
         sign = "-" if self.title.sign < 0 else ""
@@ -207,7 +209,7 @@ def _describe_quantity(meaning: ColumnKind) -> str:
 def is_frequency(text: str) -> bool:
     """Return whether a column title or variable name denotes the frequency.
 
-    The unit in the title may be ambiguous.
+    The result is true even if the unit in the title is ambiguous.
     """
     try:
         title = read_title(text)
@@ -290,13 +292,14 @@ def _normalise_words(stem: str) -> str:
 
 
 def convert_column(title: ColumnTitle, values: np.ndarray) -> Column:
-    """Convert the values of a table column to SI units by its title.
+    """Convert a table column to SI units according to the column's title.
 
     Raises
     ------
     ValueError : the phase of an impedance exceeds a full turn.
     """
     unit, note, name = title.unit, "", title.text.strip()
+    doubt = ""
     if unit is None:
         unit = _assume_unit(title, values)
         if unit.text:
@@ -305,11 +308,23 @@ def convert_column(title: ColumnTitle, values: np.ndarray) -> Column:
         note = (
             f"{name}: unit {unit.text}, taken as {unit.text[:-1]}{REPLACED_LETTERS[unit.text[-1:]]}"
         )
+    elif unit.measures == "angle" and unit.value != 1.0 and _fit_radians(values):
+        largest = np.abs(values).max()
+        doubt = (
+            f"column {name!r}: no phase exceeds {largest:.3g} {unit.text}: if the phases are in "
+            "radians, write rad in the title"
+        )
     scaled = 10 ** (values / 20) if unit.measures == "decibel" else unit.value * values
     if title.meaning.quantity in PASSIVE_PHASES and np.abs(scaled).max(initial=0.0) > MAX_PHASE:
         largest = np.abs(values).max()
         raise ValueError(f"column {name!r}: {largest:.4g} {unit.text} exceeds a full turn")
-    return Column(title, title.sign * scaled, note, unit.text or "1")
+    return Column(title, title.sign * scaled, note, unit.text or "1", doubt)
+
+
+def _fit_radians(values: np.ndarray) -> bool:
+    """Return whether angles are probably in radians: small, but widely varying."""
+    largest, spread = RADIAN_LIMITS
+    return bool(np.abs(values).max(initial=0.0) <= largest and np.ptp(values) > spread)
 
 
 def _assume_unit(title: ColumnTitle, values: np.ndarray) -> Unit:
@@ -318,7 +333,7 @@ def _assume_unit(title: ColumnTitle, values: np.ndarray) -> Unit:
     if measures == "frequency" and re.search("ω|omega", title.text.lower()):
         return Unit("rad/s", measures, UNITS[measures]["rad/s"])
     if measures == "angle":
-        largest, spread = RADIAN_LIMITS
-        in_rad = np.abs(values).max(initial=0.0) <= largest and np.ptp(values) > spread
-        return Unit("rad", measures, 1.0) if in_rad else Unit("degrees", measures, np.pi / 180)
+        if _fit_radians(values):
+            return Unit("rad", measures, 1.0)
+        return Unit("degrees", measures, np.pi / 180)
     return Unit(DEFAULT_UNITS[measures], measures, 1.0)

@@ -53,8 +53,8 @@ MIN_FREQUENCIES = 12
 # Largest median of the relative difference between two responses that agree.
 # The limit of 5 % is larger than the rounding errors of the columns.
 AGREEMENT_LIMIT = 0.05
-# Largest share of frequency steps with a reversal in a table of several sweeps.
-# If the share of reversals is larger, the frequencies are not sorted.
+# Largest share of frequency steps against the sweep direction, in a table of several sweeps.
+# If more steps run against the sweep direction, the reader rejects the frequencies as unsorted.
 MAX_REVERSAL_SHARE = 0.1
 MAX_TITLE_LENGTH = 50  # largest number of characters of column titles in an error message
 NAME_COLUMNS_HINT = "name the columns in the first line, such as  frequency_hz,real_ohm,imag_ohm"
@@ -69,7 +69,8 @@ class MeasuredResponse(EqualByContent):
     frequencies ``f`` (n,) [Hz]. ``Y`` contains the admittances [S] of the samples, an array of the
     same shape as ``samples``. ``reference`` (ports,) [Ohm] contains the reference resistances of S
     parameters. ``notes`` are assumptions of the reader, and ``columns`` describes the meaning of
-    the columns.
+    the columns. ``doubt`` describes an unusual property of the data, and the correction of the file
+    if its format or unit is wrong; it is empty for usual data.
     """
 
     f: np.ndarray
@@ -79,6 +80,7 @@ class MeasuredResponse(EqualByContent):
     reference: np.ndarray
     notes: tuple[str, ...] = ()
     columns: str = ""
+    doubt: str = ""
 
 
 def convert_to_admittance(quantity: Quantity, P: np.ndarray, z0: np.ndarray) -> np.ndarray:
@@ -98,15 +100,15 @@ def convert_to_admittance(quantity: Quantity, P: np.ndarray, z0: np.ndarray) -> 
 
 
 def make_ambiguity_error(got: str, readings: Sequence[str], hint: str) -> UsageError:
-    """Make the error for a file with more than one possible meaning.
+    """Make the error for a file whose data can be read in more than one way.
 
-    ``readings`` describes the possible meanings.
+    ``readings`` describes the possible meanings of the data.
     """
-    listed = " or ".join(f"({k}) {text}" for k, text in enumerate(readings, 1))
+    listed = "; or ".join(f"({k}) {text}" for k, text in enumerate(readings, 1))
     return UsageError(
-        "this file has more than one possible meaning",
+        "the data in this file can be read in more than one way",
         got=got,
-        expected=f"a file with one meaning, not {listed}",
+        expected=f"data that can be read in only one of these ways: {listed}",
         hint=hint,
     )
 
@@ -116,8 +118,8 @@ def find_response(
 ) -> MeasuredResponse:
     """Find the only frequency response in the tables of a file.
 
-    ``shunt`` [Ohm] is the resistance through which a gain was measured, and ``suffix`` is the file
-    extension.
+    ``shunt`` [Ohm] is the resistance of the shunt with which a gain was measured, and ``suffix`` is
+    the file extension.
 
     Raises
     ------
@@ -158,8 +160,8 @@ def _find_table_response(table: TextTable, shunt: float | None, suffix: str) -> 
         return combine_response(table.titles, table.numbers, shunt, table.notes)
     if table.header:
         raise ValueError(
-            f"the header {table.header[:MAX_HEADER_LENGTH]!r} does not have the separators of the "
-            f"{width} columns of numbers below it"
+            f"the header {table.header[:MAX_HEADER_LENGTH]!r} does not contain {width} titles, "
+            f"separated like the {width} columns of numbers below it"
         )
     first = " ".join(f"{column[0]:g}" for column in table.numbers[:6])
     got = f"{width} columns without titles, first row {first}"
@@ -224,7 +226,8 @@ def combine_response(
     """Compute the frequency response of a table from its columns.
 
     ``numbers`` contains an array of shape (n,) for each of the ``titles``. ``shunt`` is the
-    resistance [Ohm] through which a gain was measured, and ``notes`` are assumptions of the parser.
+    resistance [Ohm] of the shunt with which a gain was measured, and ``notes`` are assumptions of
+    the parser.
 
     Raises
     ------
@@ -260,13 +263,14 @@ def combine_response(
         remarks.append(f"{reading.columns[0].title.text}: neither Cp nor Cs, taken as Cp")
     texts = map(attrgetter("title.text"), used)
     summary = ", ".join(map(str, used)) + describe_unused(titles, texts)
-    return _make_response(f, reading.combination.quantity, samples, reference, remarks, summary)
+    response = _make_response(f, reading.combination.quantity, samples, reference, remarks, summary)
+    return replace(response, doubt=next(filter(None, map(attrgetter("doubt"), used)), ""))
 
 
 def _require_one_sweep(f: np.ndarray) -> None:
-    """Reject a table of several sweeps, or with unsorted nonzero frequencies.
+    """Reject a table of several sweeps, or whose frequencies are not sorted.
 
-    Sorted frequencies either all increase or all decrease.
+    Sorted frequencies never decrease, or never increase. Rows with the frequency 0 are ignored.
 
     Raises
     ------
@@ -333,9 +337,9 @@ def _require_complete(
     if "f" in names and gains:
         column = columns.by_quantity[gains[0].columns[0]][0]
         raise UsageError(
-            "the shunt resistance of this table of gain and phase is missing",
+            "a table of gain and phase needs the resistance of the shunt, which is missing",
             got=str(column),
-            expected="the resistance of the resistor in series with the part",
+            expected="the resistance of the shunt, which is the resistor in series with the part",
             hint="add for example  --shunt '100 Ohm'",
         )
     raise _make_incomplete_error(titles, columns)
@@ -400,9 +404,9 @@ def _select_column_pair(
 ) -> tuple[Column, Column]:
     """Select the two table columns that together determine a complex quantity.
 
-    An example of such a combination is the resistance and the reactance of an impedance. If there
-    are several candidates for the first column, the column of the same measuring channel as the
-    second column is selected.
+    An example of such a combination is the resistance and the reactance of an impedance. If several
+    columns contain the first quantity, the function selects the column whose title names the
+    measuring channel of the second quantity.
 
     Raises
     ------
@@ -442,9 +446,10 @@ def _compute_relative_difference(a: np.ndarray, b: np.ndarray) -> float:
 def _combine_columns(
     columns: ClassifiedColumns, f: np.ndarray, shunt: float | None
 ) -> list[_ColumnPair]:
-    """Compute the responses of all combinations of columns, and check that they agree.
+    """Compute the complex response from each column pair; reject contradictory pairs.
 
-    Return one pair of columns for each combination that the table contains.
+    Return one pair of columns for each representation of the response in the table, such as
+    magnitude and phase.
 
     Raises
     ------
@@ -452,7 +457,7 @@ def _combine_columns(
     """
     names, readings = set(columns.by_quantity), list[_ColumnPair]()
     phases = {"z": "phase_z", "y": "phase_y"} if shunt is None else {"gain": "gain_phase"}
-    # magnitude to which a column with the title `phase` belongs
+    # quantity whose phase a column with the title `phase` contains
     size = next(filter(names.__contains__, phases), None)
     for combination in COMBINATIONS:
         first, second = combination.columns
@@ -489,7 +494,8 @@ def _compute_admittance(reading: _ColumnPair) -> np.ndarray:
 def _convert_gain(gain: np.ndarray, shunt: float) -> tuple[np.ndarray, float, str]:
     """Convert a gain (shunt voltage per source voltage) to a reflection coefficient.
 
-    Return the reflection, its reference resistance [Ohm], and a note about the gain.
+    Return the reflection coefficient, its reference resistance [Ohm], and a note that describes the
+    measured gain.
     """
     inverse = bool(np.median(np.abs(gain)) > 1)
     ratio = "source over shunt" if inverse else "shunt over source"

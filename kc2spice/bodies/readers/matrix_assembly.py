@@ -67,7 +67,7 @@ def _rename_damping_matrix(rows: LabelledMatrices) -> Mapping[str, Matrix]:
     """Rename a damping matrix C to E, because C denotes the output matrix here.
 
     A square C beside M and K may be the damping matrix or the output matrix. An error is raised if
-    the TOML file does not state which of the two matrices C is.
+    the TOML file does not state whether C is the damping matrix or the output matrix.
     """
     matrices, settings = rows.matrices, rows.sidecar
     C, K = matrices.get("C"), matrices.get("K")
@@ -76,10 +76,10 @@ def _rename_damping_matrix(rows: LabelledMatrices) -> Mapping[str, Matrix]:
         if C is None or not {"M", "K"} <= set(matrices) or "E" in matrices:
             raise wrong(
                 where,
-                "the model has no damping matrix of this name",
+                'damping_matrix = "C" does not fit the matrices of the model',
                 got=f"matrices {', '.join(sorted(matrices))}",
-                expected="M, C, K and B, without E",
-                hint="delete damping_matrix",
+                expected="matrices M, C and K, and no matrix E",
+                hint="delete the key `damping_matrix`",
             )
         renamed = dict(matrices)
         renamed["E"] = renamed.pop("C")
@@ -97,15 +97,14 @@ def _rename_damping_matrix(rows: LabelledMatrices) -> Mapping[str, Matrix]:
             ),
         )
     if square and C.shape[0] ** 2 > MAX_NARROW_ENTRIES:  # type: ignore[union-attr]
-        got = f"{C.shape[0]} outputs"  # type: ignore[union-attr]
         raise wrong(
             rows.where,
-            "the model has too many outputs",
-            got=got,
-            expected=f"at most {MAX_NARROW_ENTRIES} numbers in C",
-            hint=f'write  damping_matrix = "C"  into {rows.name}.toml if C is the damping matrix',
+            "the square matrix C is too large for an output matrix",
+            got=f"a matrix C of {K.shape[0]} rows and columns",  # type: ignore[union-attr]
+            expected=f"a matrix C of at most {MAX_NARROW_ENTRIES} entries",
+            hint=f'if C is the damping matrix, write  damping_matrix = "C"  into {rows.name}.toml',
         )
-    # C is the output matrix of a model without damping
+    # With the key ``outputs``, a square C is the output matrix, and the damping matrix E is zero.
     if square and "M" in matrices and "E" not in matrices:
         return {**matrices, "E": sparse.csc_array(K.shape)}  # type: ignore[union-attr]
     return matrices
@@ -151,10 +150,13 @@ def _complete_matrices(rows: LabelledMatrices) -> Mapping[str, Matrix]:
     if symmetric is None and halves:
         raise wrong(
             rows.where,
-            "the file contains one triangle of a matrix, but its header states 'general'",
-            got=f"matrix {', '.join(halves)}",
-            expected="the whole matrix",
-            hint=f"write symmetric = true into {rows.name}.toml, or false for triangular matrices",
+            "the file contains only one triangle of a matrix, but its header states 'general'",
+            got=f"one triangle of matrix {', '.join(halves)}",
+            expected="both triangles of the matrix",
+            hint=(
+                f"write symmetric = true into {rows.name}.toml for symmetric matrices, or "
+                "symmetric = false for triangular matrices"
+            ),
         )
     if symmetric:
         for letter in halves:
@@ -173,7 +175,7 @@ def _complete_matrices(rows: LabelledMatrices) -> Mapping[str, Matrix]:
                 rows.where,
                 f"matrix {letter} is zero",
                 expected=f"entries in {letter}",
-                hint=first if letter == "M" else None,
+                hint=first if letter == "M" else f"export the matrix {letter} again",
             )
     return result | square
 
@@ -218,10 +220,13 @@ class LabelledMatrices:
         dofs = self.raw.dofs
         if dofs is None:
             raise UsageError(
-                "the files do not state which node belongs to each row of the matrices",
+                "no file states the node and the degree of freedom of each matrix row",
                 where=where,
-                expected="a column of B, or a file with node,dof of each row",
-                hint='write  column = 1  instead of nodes, or add  dofs = "rows.csv"',
+                expected="a file with a line  node,dof  for each matrix row",
+                hint=(
+                    'add  dofs = "rows.csv"  to the TOML file, or replace the nodes of a port by  '
+                    "column = 1"
+                ),
             )
         if len(dofs) != self.size:
             raise wrong(
@@ -297,13 +302,17 @@ class LabelledMatrices:
         kind = self.get_row_dofs(where).kind
         strange = np.setdiff1d(kind, TRANSLATIONS + ROTATIONS)
         if strange.size or "A" in self.matrices or "B" in self.matrices:
-            got = DOFS[int(strange[0])] if strange.size else "matrix A or B"
             raise UsageError(
-                "this value cannot be converted to SI units",
+                "the keys `length` and `force` cannot convert the units of this model",
                 where=where,
-                got=got,
-                expected="matrices M and K, with displacements and rotations only",
-                hint="delete length and force, and export the matrices in metres and newtons",
+                got=f"the degree of freedom {DOFS[int(strange[0])]}"
+                if strange.size
+                else "matrix A or B",
+                expected="only displacements and rotations, and no matrix A or B",
+                hint=(
+                    "delete the keys `length` and `force`, and export the matrices in metres and "
+                    "newtons"
+                ),
             )
         t = sparse.diags_array(np.where(np.isin(kind, TRANSLATIONS), 1 / length, 1.0))
         return {k: sparse.csc_array(force * length * (t @ m @ t)) for k, m in self.matrices.items()}
@@ -357,7 +366,7 @@ class LabelledMatrices:
     def _select_load(self, entry: PortEntry) -> np.ndarray:
         """Return the column of B or the row of C whose number a port table states.
 
-        For a conservative port, the row of C with the same number must be equal to the column.
+        For a conservative port, the row of C must be equal to the column of B with the same number.
         """
         B = self.matrices.get("B", np.zeros((self.size, 0)))
         # without C in the files, the output matrix is the transpose of B
@@ -399,8 +408,8 @@ class LabelledMatrices:
             raise UsageError(
                 "the model has too many ports",
                 where=settings.file_path,
-                got=f"{len(settings.ports)} ports of {self.size} rows",
-                expected=f"at most {MAX_NARROW_ENTRIES // self.size} ports of this model",
+                got=f"{len(settings.ports)} ports of a model with {self.size} matrix rows",
+                expected=f"at most {MAX_NARROW_ENTRIES // self.size} ports for {self.size} rows",
                 hint="delete ports that no circuit uses",
             )
         loads = np.array([*map(self.make_port_vector, settings.ports)])
@@ -411,13 +420,16 @@ class LabelledMatrices:
             raise wrong(
                 settings.file_path,
                 f"the model has no {missing_kind} port",
-                expected="ports of the kinds input and output, or a port of another kind",
+                expected=(
+                    "a port of kind input and a port of kind output, or a port that is both, such "
+                    'as kind = "mechanical"'
+                ),
                 hint=f'add a port with  kind = "{missing_kind}"',
             )
         scales = np.array([entry.scale for entry in settings.ports])  # 1 for conservative ports
         into, out = scales[inputs], 1 / scales[outputs][:, None]
         D = np.zeros((len(outputs), len(inputs)))
-        # D applies only to ports that are defined by the numbers of a column and a row
+        # D has nonzero entries only for ports that the TOML file defines by `column` or `row`
         if "D" in self.matrices:
             numbers = np.array([entry.row or entry.column or 0 for entry in settings.ports])
             D = np.pad(self.matrices["D"], 1)[np.ix_(numbers[outputs], numbers[inputs])]
@@ -430,7 +442,7 @@ class LabelledMatrices:
 
 
 def _assemble_mechanical(rows: LabelledMatrices) -> LinearModel:
-    """Assemble a model without electrodes at nodes.
+    """Assemble a linear model without electrodes that consist of mesh nodes.
 
     The damping in the TOML file is added.
     """
@@ -452,13 +464,23 @@ def _assemble_mechanical(rows: LabelledMatrices) -> LinearModel:
             rows.where,
             "a row is zero in all matrices",
             got=(
-                f"row {empty[0] + 1} of the rows that are not fixed; {empty.size} such rows "
+                f"row {empty[0] + 1}, counted without the fixed rows; {empty.size} rows are zero "
                 "in total"
             ),
-            expected="an entry in each row that is not fixed, in at least one matrix",
+            expected="for each row that is not fixed, a nonzero entry in at least one matrix",
             hint=hint,
         )
     B, C, D, ports = rows.assemble_ports()
+    by_column = not settings.ports or any(item.column for item in settings.ports)
+    for letter in "BC" if by_column else "":
+        if letter in rows.matrices and not rows.matrices[letter].any():
+            raise wrong(
+                rows.where,
+                "no input acts on the model" if letter == "B" else "no output depends on the model",
+                got=f"only zeros in the matrix {letter}",
+                expected=f"at least one nonzero entry in the matrix {letter}",
+                hint=f"export the matrix {letter} again",
+            )
     if not B[keep].any() or not C[:, keep].any():
         raise wrong(
             rows.where,
@@ -495,7 +517,7 @@ def _assemble_mechanical(rows: LabelledMatrices) -> LinearModel:
 
 
 def _assemble_piezoelectric(rows: LabelledMatrices) -> LinearModel:
-    """Assemble a model with electrodes at nodes.
+    """Assemble a linear model whose ports include electrodes at mesh nodes.
 
     All other potentials are eliminated exactly. The stiffness matrix K in the files is ``[[K_uu,
     K_up], [K_up', -K_pp]]``, as Ansys and Abaqus write it.
@@ -504,9 +526,15 @@ def _assemble_piezoelectric(rows: LabelledMatrices) -> LinearModel:
     if "A" in rows.matrices or any(e.kind in ("input", "output") for e in settings.ports):
         raise wrong(
             settings.file_path,
-            "electrodes at nodes need matrices M and K, and no inputs and outputs",
-            expected="ports of the kinds electrical, mechanical, rotational and acceleration",
-            hint="give the electrodes as columns of B, or delete the other kinds of ports",
+            "electrodes at nodes cannot be combined with matrix A, or with input or output ports",
+            expected=(
+                "matrices M and K, and ports of the kinds electrical, mechanical, rotational and "
+                "acceleration"
+            ),
+            hint=(
+                "define each electrode by a column of B in place of nodes, or delete matrix A and "
+                "all ports of kind input or output"
+            ),
         )
     K, M, E = rows.matrices["K"], rows.matrices["M"], rows.matrices.get("E")
     if E is not None and any(settings.damping.rayleigh_factors):
@@ -592,15 +620,15 @@ def _split_loss(
             "structural damping is defined twice",
             got="a complex K and loss_factor",
             expected="either a complex K or loss_factor",
-            hint="delete the key loss_factor",
+            hint="delete the key `loss_factor`",
         )
     real, loss = (sparse.csc_array(part) for part in (K.real, K.imag))
     if abs(loss[potential]).max() > IMAGINARY_ROUNDING * abs(real[potential]).max():
         raise wrong(
             rows.where,
-            "the damping in the rows of the potentials is not zero",
-            expected="an imaginary part in the rows of displacements alone",
-            hint="export the permittivity without dielectric losses, that is its real part only",
+            "the rows of the potentials contain damping, which is an imaginary part",
+            expected="an imaginary part only in the rows of the displacements",
+            hint="export only the real part of the permittivity, without dielectric losses",
         )
     loss.eliminate_zeros()
     return real, loss

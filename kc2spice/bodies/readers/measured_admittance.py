@@ -43,7 +43,7 @@ from kc2spice.bodies.readers.raw_matrices import (
     call_reader,
     is_file,
     make_missing_error,
-    make_unusable_error,
+    make_unusable_file_error,
     read_vectors,
 )
 from kc2spice.bodies.readers.text_table import TextTable, read_tables
@@ -74,9 +74,11 @@ class MeasuredAdmittance(EqualByContent):
 
     ``Y`` is the admittance [S] at the frequencies ``f`` (n,) [Hz], an array of shape (n, ports,
     ports). ``samples`` are the values of the measured ``quantity`` ``"S"``, ``"Z"`` or ``"Y"``, an
-    array of the same shape as ``Y``; None means that the samples are ``Y``. ``reference`` (ports,)
-    [Ohm] contains the reference resistances of S parameters. ``notes`` are assumptions of the
-    reader, and ``columns`` describes the columns that the reader used.
+    array of the same shape as ``Y``. ``samples`` is None if the measured values are the admittances
+    ``Y`` themselves. ``reference`` (ports,) [Ohm] contains the reference resistances of S
+    parameters. ``notes`` are assumptions of the reader, and ``columns`` describes the columns that
+    the reader used. ``doubt`` describes an unusual property of the data, and the correction of the
+    file if its format or unit is wrong.
     """
 
     name: str
@@ -88,6 +90,7 @@ class MeasuredAdmittance(EqualByContent):
     samples: np.ndarray | None = None
     columns: str = ""
     reference: np.ndarray = field(default_factory=lambda: np.array([DEFAULT_REFERENCE]))
+    doubt: str = ""
 
     @property
     def description(self) -> str:
@@ -99,7 +102,8 @@ class MeasuredAdmittance(EqualByContent):
     def measured_noise(self) -> float:
         """Estimated noise of the samples: absolute for S, relative for Z and Y.
 
-        The noise is the noise in the real or imaginary part.
+        Real and imaginary parts of the samples are assumed to have noise of equal standard
+        deviation, which is returned.
         """
         x = self.Y if self.samples is None else self.samples
         x = x.reshape(len(self.f), -1)
@@ -112,11 +116,12 @@ class MeasuredAdmittance(EqualByContent):
         """Standard deviation [S] of the noise in the real and imaginary part of each Y_ij.
 
         The returned array of standard deviations [S] has the shape (n, ports, ports). The noise of
-        Y is the first-order effect of independent noise in the measured entries::
+        Y is the first-order effect of independent noise in the measured entries. For measured
+        impedances Z, ``dY = -Y dZ Y``. For measured scattering parameters S with the diagonal
+        matrix R of reference resistances::
 
-            dY = -Y dZ Y        R^(1/2) dY R^(1/2) = -2 (1 + S)^-1 dS (1 + S)^-1
-
-        where ``(1 + S)^-1 = (1 + R^(1/2) Y R^(1/2)) / 2``.
+            R^(1/2) dY R^(1/2) = -2 (1 + S)^-1 dS (1 + S)^-1,
+            (1 + S)^-1 = (1 + R^(1/2) Y R^(1/2)) / 2.
         """
         noise, one = self.measured_noise, np.eye(self.Y.shape[1])
         if self.quantity == "Y" or self.samples is None:
@@ -175,8 +180,8 @@ def is_table(path: Path) -> bool:
 def read_measured(path: Path, shunt: float | None = None) -> MeasuredAdmittance:
     """Read the measured response in a Touchstone file, a table or a MATLAB file.
 
-    ``shunt`` [Ohm] is the series resistance whose voltage was measured, if the file contains a
-    gain.
+    If the file contains a gain, ``shunt`` [Ohm] is the series resistor across which the voltage was
+    measured.
 
     Raises
     ------
@@ -209,7 +214,7 @@ def read_measured(path: Path, shunt: float | None = None) -> MeasuredAdmittance:
     if not (np.isfinite(f).all() and np.isfinite(Y).all() and f.min(initial=1.0) >= 0):
         got = "NaN, infinity, an impedance of zero or a frequency below zero"
         problem = "the file contains numbers that are not valid"
-        raise make_unusable_error(path, got, "finite numbers", NAME_COLUMNS_HINT, problem)
+        raise make_unusable_file_error(path, got, "finite numbers", NAME_COLUMNS_HINT, problem)
     f, order = np.unique(f, return_index=True)  # increasing frequencies without repetitions
     order = order[f > 0]
     if not len(order):
@@ -218,18 +223,19 @@ def read_measured(path: Path, shunt: float | None = None) -> MeasuredAdmittance:
             "the file contains no measured values",
             f"at least {MIN_FREQUENCIES} lines",
         )
-        raise make_unusable_error(path, "no numbers", expected, hint, problem)
+        raise make_unusable_file_error(path, "no numbers", expected, hint, problem)
     if len(order) < MIN_FREQUENCIES:
         got, expected = f"{len(order)} frequencies", f"at least {MIN_FREQUENCIES} frequencies"
         hint = "export a measurement with more points"
         problem = "the file contains too few frequencies"
-        raise make_unusable_error(path, got, expected, hint, problem)
+        raise make_unusable_file_error(path, got, expected, hint, problem)
     result = MeasuredAdmittance(
         name=path.stem,
         where=str(path),
         f=response.f[order],
         Y=Y[order],
-        notes=response.notes,
+        notes=(*response.notes, response.doubt) if response.doubt else response.notes,
+        doubt=response.doubt,
         quantity=response.quantity,
         samples=response.samples[order],
         reference=response.reference,
@@ -239,7 +245,7 @@ def read_measured(path: Path, shunt: float | None = None) -> MeasuredAdmittance:
         hint = "leave out points between resonances"
         got, expected = f"{len(order)} frequencies", f"at most {MAX_FREQUENCIES} frequencies"
         problem = "the file contains too many frequencies"
-        raise make_unusable_error(path, got, expected, hint, problem)
+        raise make_unusable_file_error(path, got, expected, hint, problem)
     _reject_open_circuits(result)
     _reject_active_parts(result)
     return result

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kc2spice.bodies.readers.program_formats import list_bulk_data_cards, parse_fortran_number
+from kc2spice.bodies.readers.fem_program_formats import list_bulk_data_cards, parse_fortran_number
 from kc2spice.bodies.readers.raw_matrices import MAX_ROWS, parse_file
 from kc2spice.core.errors import UsageError, unknown, wrong
 
@@ -166,7 +166,8 @@ def _parse_keywords(data: bytes) -> Content:
             instances += keyword == "INSTANCE"
             if instances > 1:
                 raise ValueError(
-                    "with more than one *INSTANCE, node numbers differ from those of the .mtx file"
+                    "a file with more than one *INSTANCE cannot be used, because its node numbers "
+                    "differ from the node numbers in the .mtx file"
                 )
             continue
         cells = _split_cells(line)

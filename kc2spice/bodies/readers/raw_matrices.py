@@ -7,15 +7,16 @@ An archive contains dense arrays with the names ``M``, ``E``, ``K``, ``A``, ``B`
 the parts of sparse matrices. The name of a part is the letter, a dot, and the name of the part in
 ``scipy.sparse.save_npz`` (``K.format``, ``K.shape``, ``K.data``, ``K.indices``, ``K.indptr``; in
 the format coo, ``K.row`` and ``K.col``). The integer arrays ``nodes`` (n,) and ``dofs`` (n,) may
-contain the node and the degree of freedom of each row. Readers that run in a separate process
-return arrays with the same names as in an archive. MATLAB files are read in a separate process,
-because scipy's reader may crash on a corrupt file.
+contain the node and the degree of freedom of each row. A reader that runs in a separate process
+returns its arrays under the names that are used in an ``.npz`` archive. MATLAB files are read in a
+separate process, because scipy's reader may crash on a corrupt file.
 
 A MATLAB file contains variables with the names of an archive's arrays, or one struct that COMSOL's
 ``mphmatrix`` or ``mphstate`` returned. The equation of ``mphmatrix`` is ``E u'' + D u' + K u = L``:
 ``E`` is the mass, ``D`` the damping, and ``L`` the input matrix ``B``. The matrices ``Ec``, ``Dc``,
-``Kc`` and ``Lc``, from which constraints are eliminated, are preferred. The equations of
-``mphstate`` are ``Mc x' = MA x + MB u`` (or with ``A`` and ``B``) and ``y = C x + D u``.
+``Kc`` and ``Lc``, from which constraints are eliminated, are preferred. The state equation of
+``mphstate`` is ``Mc x' = MA x + MB u`` or ``x' = A x + B u``. The output equation of ``mphstate``
+is ``y = C x + D u``.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from __future__ import annotations
 import re
 import zipfile
 from collections import defaultdict
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeAlias, TypeVar
@@ -59,7 +60,7 @@ _PARSER_MESSAGES = {
 _BOM = b"\xef\xbb\xbf"
 
 # Names of degrees of freedom, keyed by number. The numbers 1 to 6 are the same in all programs.
-# All other numbers of degrees of freedom are defined by Abaqus or kc2spice.
+# Abaqus or kc2spice defines the meaning of the degree-of-freedom numbers 0 and 7 to 43.
 DOFS = {
     0: "scalar", 1: "ux", 2: "uy", 3: "uz", 4: "rx", 5: "ry", 6: "rz", 7: "warp", 8: "pres",
     9: "volt", 11: "temp", 12: "conc", 13: "mag", 14: "emf", 15: "curr", 21: "ax", 22: "ay",
@@ -81,7 +82,7 @@ T = TypeVar("T")
 # --- rejected files ---
 
 
-def make_unusable_error(
+def make_unusable_file_error(
     path: Path,
     got: object,
     expected: str,
@@ -106,29 +107,34 @@ def is_file(path: Path) -> bool:
         return False
 
 
-def make_missing_error(path: Path, file_kind: str) -> UsageError:
-    """Make the error for a missing file, which names the expected kind of file."""
+def make_missing_error(path: Path, file_kind: str, suffixes: Sequence[str] = ()) -> UsageError:
+    """Return the error for a missing file; the error names the expected kind of file.
+
+    With ``suffixes``, the error suggests only existing files with one of these suffixes.
+    """
     where = str(path).replace("\0", "\\0")
     folder = "this folder" if path.parent == Path() else f"the folder {path.parent}"
-    hint = suggest_file(path) or f"copy {path.name} into {folder}"
+    hint = suggest_file(path, suffixes) or f"copy {path.name} into {folder}"
     return UsageError("this file does not exist", where=where, expected=file_kind, hint=hint)
 
 
-def require_file(path: Path, what: str = "a model in this file") -> Path:
+def require_file(
+    path: Path, what: str = "a model in this file", suffixes: Sequence[str] = ()
+) -> Path:
     """Return the path of a model file; raise an error if it is missing or too large.
 
-    ``what`` is the kind of file in the error message.
+    ``what`` is the kind of file in the error message, and ``suffixes`` are its usual suffixes.
 
     Raises
     ------
     UsageError : the file does not exist, or has more than :data:`MAX_BYTES` bytes.
     """
     if not is_file(path):
-        raise make_missing_error(path, what)
+        raise make_missing_error(path, what, suffixes)
     size = path.stat().st_size
     if size > MAX_BYTES:
         hint = "save the matrices as sparse matrices"
-        raise make_unusable_error(path, f"{size} bytes", f"at most {MAX_BYTES:.3g}", hint)
+        raise make_unusable_file_error(path, f"{size} bytes", f"at most {MAX_BYTES:.3g}", hint)
     return path
 
 
@@ -190,12 +196,12 @@ def require_size(path: Path, letter: str, shape: tuple[int, ...], entries: int |
     what = f"matrix {letter} of {' x '.join(map(str, shape))}"
     if len(shape) != 2:
         hint = f"save matrix {letter} as an array of rows and columns"
-        raise make_unusable_error(path, what, "2 dimensions", hint)
+        raise make_unusable_file_error(path, what, "2 dimensions", hint)
     if max(shape) > MAX_ROWS or min(shape) < 0:
-        raise make_unusable_error(path, what, f"at most {MAX_ROWS} rows and columns")
+        raise make_unusable_file_error(path, what, f"at most {MAX_ROWS} rows and columns")
     square = letter == "C" and shape[0] == shape[1]  # the damping matrix is often named C
     if letter in NARROW_MATRICES and not square and shape[0] * shape[1] > MAX_NARROW_ENTRIES:
-        raise make_unusable_error(
+        raise make_unusable_file_error(
             path,
             what,
             f"few inputs or outputs, at most {MAX_NARROW_ENTRIES} numbers",
@@ -203,7 +209,9 @@ def require_size(path: Path, letter: str, shape: tuple[int, ...], entries: int |
         )
     limit = MAX_DENSE if entries == shape[0] * shape[1] else MAX_ENTRIES
     if entries is not None and not 0 <= entries <= limit:
-        raise make_unusable_error(path, f"{entries} entries in matrix {letter}", f"at most {limit}")
+        raise make_unusable_file_error(
+            path, f"{entries} entries in matrix {letter}", f"at most {limit}"
+        )
 
 
 def require_matrix(matrix: Any, letter: str, path: Path) -> Matrix:
@@ -214,8 +222,8 @@ def require_matrix(matrix: Any, letter: str, path: Path) -> Matrix:
 
     Raises
     ------
-    UsageError : the matrix contains numbers that are not finite, is too large, is not numeric, or
-        is complex and not K.
+    UsageError : the matrix is too large or not numeric, contains numbers that are not finite, or
+        contains complex numbers although it is not K.
     """
     # indices of the coo format need no check, because the constructor of coo arrays checks them
     if sparse.issparse(matrix) and matrix.format in ("csc", "csr"):
@@ -229,10 +237,12 @@ def require_matrix(matrix: Any, letter: str, path: Path) -> Matrix:
             if data.dtype.kind == "c"
             else REDO_HINT
         )
-        raise make_unusable_error(path, f"matrix {letter} is {what}", "a real numeric matrix", hint)
+        raise make_unusable_file_error(
+            path, f"matrix {letter} is {what}", "a real numeric matrix", hint
+        )
     require_size(path, letter, matrix.shape, data.size)
     if not np.isfinite(data).all():
-        raise make_unusable_error(
+        raise make_unusable_file_error(
             path, f"matrix {letter} contains NaN or infinity", "finite numbers"
         )
     if letter in NARROW_MATRICES:
@@ -251,12 +261,13 @@ def require_matrix(matrix: Any, letter: str, path: Path) -> Matrix:
 class Dofs:
     """Node number and degree of freedom of each matrix row.
 
-    ``node`` and ``kind`` are arrays of integers of shape (n,). ``kind`` contains the numbers of
-    degrees of freedom, which are keys of :data:`DOFS`.
+    ``node`` and ``kind`` are arrays of integers of shape (n,). ``kind`` identifies the degree of
+    freedom of each matrix row by a number that is a key of :data:`DOFS`.
 
     Raises
     ------
-    ValueError : a number is not a node number or not the number of a degree of freedom.
+    ValueError : a node number or the number of a degree of freedom is not an integer, or its
+        magnitude is 2^40 or more.
     """
 
     node: np.ndarray
@@ -300,8 +311,8 @@ class RawMatrices:
     files: Mapping[str, Path] = field(default_factory=dict)
 
 
-def compute_row_keys(table: np.ndarray) -> Triple:
-    """Return an integer key of the row and of the column of each entry, and its value.
+def compute_entry_keys(table: np.ndarray) -> Triple:
+    """Compute integer row and column keys of matrix entries; return keys and values.
 
     ``table`` contains a line (node, dof, node, dof, value) for each entry. A ``dof`` is the number
     of a degree of freedom. Return the row keys, the column keys and the values.
@@ -316,7 +327,7 @@ def make_matrices_by_letter(
 ) -> tuple[dict[str, sparse.csc_array], Dofs]:
     """Make a sparse matrix for each letter, such as M or K, from lists of entries.
 
-    ``triples`` contains the entries of each matrix as returned by :func:`compute_row_keys`, keyed
+    ``triples`` contains the entries of each matrix as returned by :func:`compute_entry_keys`, keyed
     by letter. Return the matrices, keyed by letter, and the node and degree of freedom of each row.
     The rows of all matrices are in the same order. Rows are sorted by node, then by degree of
     freedom. Nodes and degrees of freedom without entries have no rows.
@@ -334,8 +345,8 @@ def make_matrices_by_letter(
 def complete_triangles(matrix: sparse.csc_array) -> sparse.csc_array:
     """Complete a symmetric matrix of which one entry of each mirrored pair is stored.
 
-    The entry of a pair may be above or below the diagonal. A matrix that contains both entries of
-    any pair is returned unchanged.
+    Of each pair of mirrored entries, ``matrix`` contains either the entry above or the entry below
+    the diagonal. A matrix that contains both entries of any mirrored pair is returned unchanged.
     """
     below = abs(sparse.tril(matrix, -1, format="csc")) > 0
     above = abs(sparse.triu(matrix, 1, format="csc")) > 0
@@ -357,8 +368,8 @@ _SECOND_ORDER_FIELDS = {"M": ("Ec", "E"), "E": ("Dc", "D"), "K": ("Kc", "K"), "B
 def read_matrix_archive(path: Path, requested: Mapping[str, str]) -> RawMatrices:
     """Read the matrices in the ``.npz`` archive at ``path``.
 
-    ``requested`` maps letters to the names of matrices in the archive, for matrices whose name is
-    not the letter.
+    ``requested`` maps matrix letters, such as K, to the names of matrices in the archive, for
+    matrices whose name is not the letter.
 
     Raises
     ------
@@ -491,7 +502,7 @@ def _unpack_sparse(path: Path, letter: str, parts: dict[str, np.ndarray]) -> spa
 
 
 def _unpack_dofs(arrays: Mapping[str, np.ndarray]) -> Dofs | None:
-    """Return node and degree of freedom of each row; None if the archive has neither."""
+    """Return node and degree of freedom of each row, or None if both are missing."""
     present_arrays = [np.asarray(arrays[name]).ravel() for name in _ROW_LABELS if name in arrays]
     if not present_arrays:
         return None
@@ -529,7 +540,7 @@ def unpack_matlab(path: str, requested: dict[str, str]) -> dict[str, np.ndarray]
     parts: dict[str, np.ndarray] = {}
     for name in names:
         if name in result:
-            parts |= pack_matrix(name, _convert_to_plain_array(name, result[name]))
+            parts |= pack_matrix(name, _convert_matlab_matrix(name, result[name]))
     return parts
 
 
@@ -575,7 +586,7 @@ def _load_variables(path: str, names: list[str], full: list[tuple[int, ...]]) ->
     return io.loadmat(path, appendmat=False, variable_names=names) if names else {}
 
 
-def _convert_to_plain_array(name: str, matrix: Any) -> Any:
+def _convert_matlab_matrix(name: str, matrix: Any) -> Any:
     """Convert a MATLAB matrix to a sparse matrix or a dense array."""
     if sparse.issparse(matrix):
         return matrix.tocsc()
@@ -600,7 +611,10 @@ def _select_fields(value: Any, name: str) -> dict[str, Any]:
     fields = {key: value[0, 0][key] for key in value.dtype.names}
 
     def select_matrices(table: Mapping[str, tuple[str, ...]]) -> dict[str, Any]:
-        """Select a struct field for each matrix letter by the field names in a table."""
+        """Select for each matrix the first candidate field that the struct contains.
+
+        ``table`` maps the letter of each matrix to the names of its candidate fields.
+        """
         matrices = {}
         for letter, names in table.items():
             for first in filter(fields.__contains__, names):

@@ -51,14 +51,14 @@
                                   # (outputs: row = 1 is the first row of C)
 
 A mechanical port at several nodes has the mean displacement of these nodes, and the force of the
-port is distributed evenly over the nodes. A port of kind ``acceleration`` moves the frame of the
-fixed degrees of freedom and needs only the key ``axis``. A port of kind ``acoustic`` needs the key
-``column``. An acoustic port's column of B contains the force on each unknown for 1 Pa at the port.
-The product of the acoustic port's column and the unknowns is the volume that the body displaces. An
-``electrical`` port at nodes connects their degrees of freedom ``volt`` to one electrode. If a
-conservative port has the key ``column``, its row of C has the same number. Without ``[[ports]]``,
-the columns of B are the input signals ``u1``, ``u2``, …, and the rows of C are the output signals
-``y1``, ``y2``, ….
+port is distributed evenly over the nodes. A port of kind ``acceleration`` accelerates the support
+of all fixed degrees of freedom, as a shaker does. An ``acceleration`` port needs only the key
+``axis``. A port of kind ``acoustic`` needs the key ``column``. An acoustic port's column of B
+contains the force on each unknown for 1 Pa at the port. The product of the acoustic port's column
+and the unknowns is the volume that the body displaces. An ``electrical`` port at nodes connects
+their degrees of freedom ``volt`` to one electrode. If a conservative port has the key ``column =
+n``, row n of C is the output of this port. Without ``[[ports]]``, the columns of B are the input
+signals ``u1``, ``u2``, …, and the rows of C are the output signals ``y1``, ``y2``, ….
 """
 
 from __future__ import annotations
@@ -102,6 +102,7 @@ from kc2spice.core.key_errors import validate_table
 from kc2spice.core.quantities import Count, Section, make_invalid_value_error
 from kc2spice.core.toml_errors import parse_toml_file
 from kc2spice.core.untrusted_files import MAX_TEXT_BYTES, decode_text, read_bounded
+from kc2spice.fem.body_keys import reject_overcritical_damping
 from kc2spice.rom.linear_model import PORT_KINDS, Port
 
 LENGTH_UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254, "ft": 0.3048}
@@ -209,7 +210,7 @@ class NodeSelection(Section):
 
     @model_validator(mode="after")
     def _require_one_selector(self) -> NodeSelection:
-        """Require at most one key that selects nodes, and ``within`` only with ``at``."""
+        """Require at most one key that selects nodes; permit ``within`` only with ``at``."""
         selectors = [k for k in ("node", "nodes", "nodeset", "at") if getattr(self, k) is not None]
         if len(selectors) > 1:
             hint = f"delete {selectors[0]} or {selectors[1]}"
@@ -271,7 +272,7 @@ class PortEntry(NodeSelection):
         if self.scale != 1 and self.kind in PORTS:
             problem = f"a port of kind {self.kind} has no scale"
             raise make_invalid_value_error(
-                problem, "scale of inputs and outputs only", hint="delete the key scale"
+                problem, "scale of inputs and outputs only", hint="delete the key `scale`"
             )
         if self.row is not None and self.kind != "output":
             problem = f"a port of kind {self.kind} has a column, not a row"
@@ -293,7 +294,7 @@ class PortEntry(NodeSelection):
                     hint="delete one of them",
                 )
         elif self.kind in COLUMN_KINDS_ONLY:
-            problem = f"a port of kind {self.kind} can only have the key column"
+            problem = f"a port of kind {self.kind} can only have the key `column`"
             raise make_invalid_value_error(
                 problem, "column", hint="write  column = 1  and neither node nor axis"
             )
@@ -330,12 +331,12 @@ class PortEntry(NodeSelection):
 
     @property
     def _directional_dofs(self) -> tuple[int, ...]:
-        """Three degrees of freedom along which the port's axis has components."""
+        """Degrees of freedom for components of the port's axis: translations or rotations."""
         return ROTATIONS if self.kind == ROTATION.port else TRANSLATIONS
 
     @property
     def weights(self) -> dict[int, float]:
-        """Shares of the degrees of freedom in the port's force, keyed by their numbers."""
+        """Weight of each degree of freedom in the port force, by degree-of-freedom number."""
         if self.dof is not None:
             return {self.dof: 1.0}
         if self.kind in SCALAR_DOFS:
@@ -397,6 +398,12 @@ class MatrixDamping(Section):
                 expected,
                 hint=_advise_damping(keys),
             )
+        example = "loss_factor = 0.02" if self.ratio is None else "ratio = 0.01"
+        reject_overcritical_damping(
+            max(self.ratio or 0.0, 0.5 * self.loss_factor),
+            "a damping ratio below 1, or a loss factor below 2",
+            f"for 1 % damping, write {example}",
+        )
         return self
 
     @property
@@ -421,7 +428,7 @@ class TermEntry(Section):
     """Table ``[[terms]]``: a matrix times a factor that depends on parameters.
 
     ``file`` and ``name`` are the location of the matrix. If ``file`` and ``name`` are missing, the
-    factor multiplies the matrix of the model.
+    factor multiplies the model's matrix with the letter ``matrix``, such as K.
     """
 
     matrix: Literal["M", "K", "E"]
@@ -431,7 +438,7 @@ class TermEntry(Section):
 
 
 class Sidecar(Section):
-    """Content of the TOML file beside a matrix model, which defines its ports.
+    """Content of the TOML file that states the ports and supports of a matrix model.
 
     A model without a TOML file has the default values.
     """
@@ -474,7 +481,7 @@ class Sidecar(Section):
 
     @model_validator(mode="after")
     def _require_consistent_keys(self) -> Sidecar:
-        """Check that the keys of the TOML file are consistent with each other."""
+        """Reject contradictory keys of the TOML file of a matrix file."""
         if self.band is not None and not self.band[0] < self.band[1]:
             hint = "write the lower frequency first, such as band = [0, 20000]"
             raise make_invalid_value_error(
@@ -512,7 +519,7 @@ def read_sidecar(path: Path) -> Sidecar:
         has the wrong type, or a name occurs twice. The error message contains the file and the key.
     """
     expected = f"a TOML file of at most {MAX_TEXT_BYTES} bytes"
-    require_file(path, expected)
+    require_file(path, expected, (".toml",))
     text = call_reader(path, expected, lambda: decode_text(read_bounded(path, MAX_TEXT_BYTES)))
     data = parse_toml_file(text, str(path))
     parts = [name for name, table in data.items() if isinstance(table, dict) and "part" in table]

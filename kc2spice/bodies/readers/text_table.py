@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import csv
 import re
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -44,7 +45,8 @@ _GROUPED_PATTERN = re.compile(
     r"[-+]?\d{1,3}([,' \u00a0\u202f])\d{3}(\1\d{3})*(\.\d*)?([eE][-+]?\d{1,3})?"
 )
 SEPARATORS = (";", "\t", ",")  # characters other than blanks that may separate fields
-_LINE_WITH_COMMA = re.compile(".*,.*")  # pattern of a line with a comma; each line is one field
+# Pattern of a field that contains a comma, in a text with one field on each line.
+_LINE_WITH_COMMA = re.compile(".*,.*")
 MIN_COLUMNS = 2  # smallest number of columns of a table
 MIN_ROWS = 2  # smallest number of rows of a table
 # largest number of lines of a file: five times the largest number of frequencies
@@ -53,7 +55,7 @@ MAX_COLUMNS = 200  # largest number of fields of a line
 MAX_LINE_LENGTH = 4000  # largest number of characters of a row or of a line of titles
 COMMENT_LINES = 300  # number of lines above a table in which units are searched
 TITLE_LINES = 40  # number of lines above a table in which titles are searched
-# largest permitted share of omitted rows, which contain a word
+# largest share of a table's rows that may be omitted because they contain a word
 MAX_OMITTED_SHARE = 0.05
 MAX_HEADER_LENGTH = 80  # largest number of characters of a header that an error quotes
 MAX_PHASE_DEGREES = 180.0  # largest magnitude of a phase [degrees]
@@ -69,6 +71,24 @@ class ShortTableError(ValueError):
         "export one line of numbers for each point, below titles such as  "
         "frequency_hz,real_ohm,imag_ohm"
     )
+
+
+class FaultyRowsError(ValueError):
+    """Error for a table in which too many rows contain words.
+
+    ``advice`` is the hint of the error message.
+    """
+
+    advice = "measure these points again, or delete these rows from the file"
+
+
+class AmbiguousCommaError(ValueError):
+    """Error for a table in which a comma separates both fields and decimals.
+
+    ``advice`` is the hint of the error message.
+    """
+
+    advice = "export the file with decimal points, or with semicolons between the columns"
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +128,7 @@ def read_tables(text: str) -> list[TextTable]:
     Raises
     ------
     ValueError : the text contains no table, has too many lines, contains a comma that may separate
-        thousands or decimals, or has too many rows with words.
+        thousands or decimals, or has too many rows with words or missing columns.
     """
     count = max(text.count("\n"), text.count("\r"))
     if count > MAX_LINES:
@@ -204,11 +224,13 @@ def _count_fields(line: str, separator: str | None) -> tuple[int, bool]:
 def _find_numeric_line_ranges(lines: list[str], separator: str | None) -> Iterator[_LineRange]:
     """Yield each range of numeric lines that have equal numbers of fields.
 
-    A few rows in a range may contain words.
+    A few rows in a range may contain words, or may be incomplete.
     """
     kinds = [_count_fields(line, separator) for line in lines]
     # blank lines do not end a table
     filled = [k for k, (width, _) in enumerate(kinds) if width >= 0]
+    _join_rows_around_words(lines, separator, filled, kinds)
+    _join_rows_around_incomplete_rows(filled, kinds)
     for width, group in groupby(filled, key=lambda k: kinds[k][0]):
         run = list(group)
         numeric_rows = sum(kinds[k][1] for k in run)
@@ -216,10 +238,55 @@ def _find_numeric_line_ranges(lines: list[str], separator: str | None) -> Iterat
             yield _LineRange(run[0], run[-1] + 1, numeric_rows, width)
 
 
+def _join_rows_around_words(
+    lines: list[str], separator: str | None, filled: list[int], kinds: list[tuple[int, bool]]
+) -> None:
+    """Count a line of one repeated word, such as ``OVL,OVL``, as a row of the table.
+
+    The line must be below a row with the same number of fields. Such lines must be above another
+    row, or at the end of the file. A last line with a single number is also counted as a row,
+    because the file may be truncated. The function changes the entries of ``kinds`` for all these
+    lines.
+    """
+    above, waiting = 0, list[int]()
+    for k in filled:
+        width = kinds[k][0]
+        if width == 0 and above:
+            fields = _split_fields(lines[k], separator)
+            cut = k == filled[-1] and len(fields) == 1 and _is_number(fields[0])
+            if cut or (len(fields) == above and len(set(fields)) == 1):
+                waiting.append(k)
+                continue
+        if width == above:
+            for row in waiting:
+                kinds[row] = (above, False)
+        above, waiting = width, []
+    for row in waiting:
+        kinds[row] = (above, False)
+
+
+def _join_rows_around_incomplete_rows(filled: list[int], kinds: list[tuple[int, bool]]) -> None:
+    """Count a few rows with other numbers of fields as incomplete rows of their table.
+
+    The function changes the entries of ``kinds`` for these rows.
+    """
+    for is_row, group in groupby(filled, key=lambda k: kinds[k][0] > 0):
+        if not is_row:
+            continue
+        block = list(group)
+        widths = Counter(kinds[k][0] for k in block)
+        ((width, _),) = widths.most_common(1)
+        first = next(place for place, k in enumerate(block) if kinds[k][0] == width)
+        other = [k for k in block[first:] if kinds[k][0] != width]
+        if len(other) <= max(1, MAX_OMITTED_SHARE * len(block[first:])):
+            for k in other:
+                kinds[k] = (width, False)
+
+
 def _describe_non_number(lines: list[str]) -> str:
     """Describe the first row that contains a word instead of a number, for messages.
 
-    Return an empty string if no line contains both. The description is a part of an error message.
+    Return an empty string if no row contains a word. The description is a part of an error message.
     """
     for k, line in enumerate(lines):
         for separator in (*SEPARATORS, None):
@@ -244,8 +311,10 @@ def _build_table(lines: list[str], run: _LineRange, end: int, separator: str | N
     rows = [_split_fields(lines[k], separator) for k in filled]
     index = list(map(itemgetter(0), rows)) == list(map(str, range(len(rows))))
     titles = _find_titles(above, separator, run.width, index)
+    if titles is None and separator == ",":
+        _reject_ambiguous_commas(above, rows, run.width)
     names = titles or tuple(map("column {}".format, range(1, run.width + 1)))
-    complete = [all(map(_is_number, row)) for row in rows]
+    complete = [len(row) == run.width and all(map(_is_number, row)) for row in rows]
     notes = _describe_omitted_rows(rows, complete, names, filled)
     rows = list(compress(rows, complete))
     columns = zip(*rows, strict=True)
@@ -264,24 +333,49 @@ def _build_table(lines: list[str], run: _LineRange, end: int, separator: str | N
 def _describe_omitted_rows(
     rows: list[list[str]], complete: list[bool], names: Sequence[str], lines: list[int]
 ) -> list[str]:
-    """Return notes about the rows that are omitted because they contain words.
+    """Return notes about omitted rows, which contain words or are incomplete.
 
     ``lines`` are the line numbers of the rows, counted from 0.
 
     Raises
     ------
-    ValueError : too many rows contain a word.
+    FaultyRowsError : too many rows contain a word or are incomplete.
     """
     if all(complete):
         return []
     first = complete.index(False)
-    column = list(map(_is_number, rows[first])).index(False)
-    count, word = complete.count(False), rows[first][column]
-    name = names[column].strip()
-    text = f"line {lines[first] + 1}: {word[:20]!r} in column {name!r} is not a number"
+    count, row = complete.count(False), rows[first]
+    text = f"line {lines[first] + 1} has {len(row)} of {len(names)} columns"
+    if len(row) == len(names):
+        column = list(map(_is_number, row)).index(False)
+        name = names[column].strip()
+        text = f"line {lines[first] + 1}: {row[column][:20]!r} in column {name!r} is not a number"
     if count > max(1, MAX_OMITTED_SHARE * len(rows)):
-        raise ValueError(f"{text}; {count} of {len(rows)} rows have this fault")
+        raise FaultyRowsError(
+            f"{text}; {count} of {len(rows)} rows have a fault, more than "
+            f"{100 * MAX_OMITTED_SHARE:g} %"
+        )
     return [f"{text}: {count} of {len(rows)} rows left out"]
+
+
+def _reject_ambiguous_commas(above: list[str], rows: list[list[str]], width: int) -> None:
+    """Reject a table in which a comma separates both fields and decimals.
+
+    In such a table, the rows have up to twice as many fields as the titles ``above`` them.
+
+    Raises
+    ------
+    AmbiguousCommaError : the table has titles of fewer columns, and contains no decimal point.
+    """
+    if any("." in field for row in rows for field in row):
+        return
+    for line in above[-TITLE_LINES:]:
+        titles = _split_fields(line.strip().lstrip(COMMENT_MARKS), ",")
+        if len(titles) < width <= 2 * len(titles) and any(map(is_abscissa, titles)):
+            raise AmbiguousCommaError(
+                f"the comma separates the {len(titles)} columns, and it is also the decimal "
+                f"character: {','.join(rows[0])[:40]!r}"
+            )
 
 
 # --- titles ---------------------------------------------------------------------------------------
@@ -292,10 +386,10 @@ def _find_titles(
 ) -> tuple[str, ...] | None:
     """Find the titles of a table in the lines above the table.
 
-    ``columns`` is the number of columns. The titles are in the nearest line that contains the title
-    of a frequency or a time, otherwise in the last line. A line of units may follow the titles. If
-    ``index`` is true, the first column contains row numbers and may have no title. Return None if
-    there are no titles.
+    ``columns`` is the number of columns. The titles are in the nearest line above the table that
+    contains the title of a frequency or a time. If no line contains such a title, the titles are in
+    the last line above the table. A line of units may follow the titles. If ``index`` is true, the
+    first column contains row numbers and may have no title. Return None if there are no titles.
     """
     below: list[str] | None = None
     for line in reversed(above[-TITLE_LINES:]):
@@ -376,7 +470,7 @@ def _find_last_match(pattern: re.Pattern[str], lines: list[str]) -> str:
 def _apply_format(
     titles: tuple[str, ...], numbers: list[np.ndarray], stated: str
 ) -> tuple[tuple[str, ...], list[np.ndarray], list[str]]:
-    """Rename the trace columns of a table by the quantity in its ``FORMAT`` line.
+    """Rename the trace columns of a table after the quantity in its ``FORMAT`` line.
 
     ``stated`` is the quantity in the ``FORMAT`` line. If the quantity is real, the second column of
     the trace must be zero. If the quantity is |Z| or |Y|, the second column may be the phase.
@@ -404,7 +498,8 @@ def _apply_format(
             or np.abs(numbers[k]).max() > MAX_PHASE_DEGREES
         ):
             raise ValueError(
-                f"column {titles[k].strip()!r} is not zero, but the format {stated} has real values"
+                f"the second trace column {titles[k].strip()!r} is not zero, but the file states "
+                f"the format {stated}, which has one real value for each frequency"
             )
         notes.append(
             f"{titles[k].strip()}: not zero although the format is {stated}; read as the phase"

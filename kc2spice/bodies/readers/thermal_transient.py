@@ -22,13 +22,13 @@ from kc2spice.bodies.readers.complex_response import (
     make_ambiguity_error,
 )
 from kc2spice.bodies.readers.measured_admittance import is_table, load_tables
-from kc2spice.bodies.readers.raw_matrices import call_reader, is_file, make_unusable_error
+from kc2spice.bodies.readers.raw_matrices import call_reader, is_file, make_unusable_file_error
 from kc2spice.bodies.readers.text_table import TextTable
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import UsageError
 
-# Smallest number of times after the power step.
-# Eight times suffice for two time constants, two resistances and an estimate of the noise.
+# Smallest number of instants after the power step.
+# Eight instants suffice to estimate two time constants, two resistances and the noise.
 MIN_TIMES = 8
 NAME_TIME_HINT = "name the columns in the first line, such as  time_s,temperature_k"
 EXPECTED_TABLE = "a table with a time and a temperature or a thermal impedance Zth"
@@ -67,7 +67,7 @@ def is_transient(path: Path) -> bool:
         return call_reader(
             path, EXPECTED_TABLE, lambda: any(map(_has_time_column, load_tables(path)))
         )
-    except UsageError:  # the reader of frequency responses reports this error of the table
+    except UsageError:  # the reader of frequency responses will report that the table is faulty
         return False
 
 
@@ -88,7 +88,7 @@ def read_transient(path: Path) -> ThermalTransient:
     result = call_reader(path, EXPECTED_TABLE, read_response, NAME_TIME_HINT)
     if not (np.isfinite(result.time).all() and np.isfinite(result.value).all()):
         problem = "the file contains numbers that are not valid"
-        raise make_unusable_error(
+        raise make_unusable_file_error(
             path, "NaN or infinity", "finite numbers", NAME_TIME_HINT, problem
         )
     count = len(np.unique(result.time[result.time > 0]))
@@ -96,7 +96,7 @@ def read_transient(path: Path) -> ThermalTransient:
         hint = "measure more points after the power step, which must be at the time zero"
         got, expected = f"{count} times after zero", f"at least {MIN_TIMES} times after zero"
         problem = "the file contains too few times"
-        raise make_unusable_error(path, got, expected, hint, problem)
+        raise make_unusable_file_error(path, got, expected, hint, problem)
     return result
 
 

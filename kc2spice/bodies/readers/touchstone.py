@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from kc2spice.bodies.readers.column_kinds import Quantity
@@ -12,7 +14,37 @@ _FREQUENCY_UNITS = {"hz": 1.0, "khz": 1e3, "mhz": 1e6, "ghz": 1e9, "thz": 1e12}
 _NUMBER_FORMS = ("ri", "ma", "db")
 _PARAMETER_KINDS = tuple("syzgh")
 _KNOWN_OPTION_WORDS = {*_NUMBER_FORMS, *_PARAMETER_KINDS, *_FREQUENCY_UNITS}
+# Largest number of ports whose parameters are in a single line for each frequency
+# (IBIS Open Forum, 2009).
+MAX_PORTS_ON_A_LINE = 2
 _QUANTITIES: dict[str, Quantity] = {"s": "S", "z": "Z", "y": "Y"}
+
+
+class OptionLineError(ValueError):
+    """Error for a Touchstone file without an option line.
+
+    ``advice`` is the hint of the error message.
+    """
+
+    advice = (
+        "write a line such as  # Hz S RI R 50  above the numbers, with the unit and the format "
+        "of the file"
+    )
+
+
+def _require_line_lengths(counts: Mapping[int, int], ports: int, width: int) -> None:
+    """Raise an error if all lines of data have the same wrong number of values.
+
+    ``counts`` is the number of values in each line, keyed by line number, and ``width`` is the
+    number of values for each frequency.
+    """
+    lengths = set(counts.values())
+    if len(lengths) != 1 or not min(lengths) % width:
+        return
+    raise ValueError(
+        f"line {min(counts)} contains {min(lengths)} numbers, but a file of {ports} "
+        f"{'port' if ports == 1 else 'ports'} has {width} numbers in each line"
+    )
 
 
 def _require_numbers(words: list[str], text: str) -> None:
@@ -40,15 +72,19 @@ def parse_touchstone(text: str, ports: int) -> MeasuredResponse:
     section = words = list[str]()
     keys: dict[str, list[str]] = {}
     options: list[list[str]] = []
-    for raw in text.lower().splitlines():
+    counts: dict[int, int] = {}  # number of words in each line of data, keyed by line number
+    for number, raw in enumerate(text.lower().splitlines(), start=1):
         line = raw.partition("!")[0].strip()
         if line.startswith("["):
             key, _, value = line[1:].partition("]")
             section = keys[key.strip()] = value.split()
         elif line.startswith("#"):
             options.append(line[1:].split())
-        else:
+        elif line:
             section += line.split()
+            counts[number] = len(line.split())
+    if not options:
+        raise OptionLineError("the option line with the unit and the format is missing")
     for option in options[:1]:
         at = option.index("r") if "r" in option else len(option)
         reference = list(map(float, option[at + 1 :])) or reference
@@ -75,6 +111,8 @@ def parse_touchstone(text: str, ports: int) -> MeasuredResponse:
         )
     symmetric = shape != ["full"]  # the file contains only one triangle of each matrix, row by row
     width = 1 + (n * (n + 1) if symmetric else 2 * n * n)
+    if n <= MAX_PORTS_ON_A_LINE and "version" not in keys:
+        _require_line_lengths(counts, n, width)
     _require_numbers(words, text)
     values = np.array(list(map(float, words)))
     table = values[: len(values) // width * width].reshape(-1, width)
@@ -83,8 +121,8 @@ def parse_touchstone(text: str, ports: int) -> MeasuredResponse:
     back = np.flatnonzero(np.diff(table[:, 0]) < 0)
     if len(values) % width and not back.size:
         raise ValueError(
-            f"the file has {len(values)} numbers, but not a multiple of {width}, the number of "
-            "values for each frequency"
+            f"the file contains {len(values)} numbers, which is not a multiple of {width}, the "
+            "number of values for each frequency"
         )
     table = table[: back[0] + 1] if back.size else table
     a, b = table[:, 1::2], table[:, 2::2]
@@ -106,10 +144,16 @@ def parse_touchstone(text: str, ports: int) -> MeasuredResponse:
         P = P * z0[0] if kind == "z" else P / z0[0]
     summary = f"{kind.upper()} of {n} ports in {form.upper()}, frequency in {_format_unit(unit)}"
     summary += f", reference {' '.join(f'{R:g}' for R in reference)} Ohm" if kind == "s" else ""
+    doubt = ""
+    if form != "ri" and len(b) and np.abs(b).max() <= 1 and np.ptp(b):
+        doubt = (
+            f"no phase exceeds {np.abs(b).max():.3g} degrees: if the data are real and imaginary "
+            f"parts, write RI in place of {form.upper()} in the option line"
+        )
     quantity = _QUANTITIES[kind]
     Y = convert_to_admittance(quantity, P, z0)
     return MeasuredResponse(
-        _FREQUENCY_UNITS[unit] * table[:, 0], quantity, P, Y, z0, tuple(notes), summary
+        _FREQUENCY_UNITS[unit] * table[:, 0], quantity, P, Y, z0, tuple(notes), summary, doubt
     )
 
 
@@ -133,8 +177,8 @@ def _reject_undriven_ports(S: np.ndarray) -> None:
 
     Raises
     ------
-    UsageError : all reflections and transmissions of a port are zero, and no transmission of other
-        ports exceeds one.
+    UsageError : all reflections and transmissions of a port are zero. An amplifier, which has a
+        transmission above one, causes no error.
     """
     n = S.shape[1]
     silent = np.flatnonzero(~S.any(axis=(0, 1)))

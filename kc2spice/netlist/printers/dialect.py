@@ -40,9 +40,9 @@ from kc2spice.netlist.expression import (
     parse_expression,
     parse_vector,
 )
-from kc2spice.netlist.library import Subcircuit
+from kc2spice.netlist.name_scopes import INCLUDES
 from kc2spice.netlist.printers.ngspice import Printer
-from kc2spice.netlist.scope import INCLUDES
+from kc2spice.netlist.subcircuit_library import Subcircuit
 
 _COMMON_COMMANDS = frozenset({".end", *ANALYSES, *INCLUDES}) - {".noise"}
 # letters of elements with the same syntax in all dialects, apart from braces and parameters
@@ -141,9 +141,10 @@ class Dialect(Printer, ABC):
         return super().format_file(circuit)
 
     def format_cards(self, items: Sequence[Item]) -> Iterator[str]:
-        """Yield the text of each card; all cards of a command in ``joined`` become one.
+        """Yield the text of each card, after repeated cards of a command are merged.
 
-        The attribute ``joined`` contains the keywords of these commands.
+        The attribute ``joined`` contains the keywords of the commands whose cards are merged into
+        one card.
         """
         return super().format_cards(_join_commands(items, self.joined))
 
@@ -227,7 +228,7 @@ class Dialect(Printer, ABC):
         return " ".join((self.measure_keyword, kind.upper(), name, *read))
 
     def format_measured_quantity(self, text: str, kind: str) -> str:
-        """Return the expression of a measured quantity; in ac, a magnitude or real part.
+        """Return the expression of a measured quantity in an analysis of type ``kind``.
 
         In an ``ac`` analysis, the quantity is the magnitude of a voltage or the real part of a
         current.
@@ -238,7 +239,7 @@ class Dialect(Printer, ABC):
         return self.format_real_part(plain) if kind == "ac" else plain
 
     def locate_extreme(self, extreme: str, vector: str, kind: str) -> tuple[str, ...]:
-        """Return the words that measure the position of an extremum."""
+        """Return the words of a measurement card that locate an extremum."""
         return ()
 
     @abstractmethod
@@ -349,7 +350,7 @@ class Dialect(Printer, ABC):
         return ":".join([*trace.path, *trace.names])
 
     def format_numbers(self, text: str) -> str:
-        """Return a word whose numbers have the same value in all simulators.
+        """Format the numbers of a word so that all simulators read equal values.
 
         Unit letters after a number are removed. Scale factors such as ``mil``, ``a`` or ``x`` are
         replaced.
@@ -416,7 +417,7 @@ class Dialect(Printer, ABC):
 
 
 def _remove_letters(match: re.Match[str]) -> str:
-    """Return a number without unit letters and with a common scale factor."""
+    """Remove letters after a number, except scale factors that all simulators know."""
     if match[1].lower() in _COMMON_SCALE_FACTORS:
         return match[0]
     tree = parse_expression(match[0])

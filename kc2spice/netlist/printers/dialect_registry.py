@@ -129,10 +129,12 @@ _COMPATIBLE_DIALECTS = {
 }
 
 
-def make_unknown_dialect_error(name: str, known: Iterable[str]) -> UsageError:
+def make_unknown_dialect_error(name: object, known: Iterable[str]) -> UsageError:
     """Make the error for an unknown dialect, with the most similar known name."""
     error = unknown("this dialect does not exist", name, known, "--dialect")
-    if (similar := _COMPATIBLE_DIALECTS.get(name.lower())) is not None:
+    if not isinstance(name, str):
+        error.hint = f"write the name of a dialect as a string, such as '{NGSPICE}'"
+    elif (similar := _COMPATIBLE_DIALECTS.get(name.lower())) is not None:
         error.hint = f"try {similar}, the dialect that is most similar to {name}"
     return error
 

@@ -24,11 +24,11 @@ from uuid import NAMESPACE_URL, uuid5
 from kc2spice.netlist.circuit import Directive, Element
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.expression import parse_vector
-from kc2spice.netlist.library import Subcircuit
+from kc2spice.netlist.name_scopes import GROUND_NAMES, Scope, build_scope
+from kc2spice.netlist.number_and_name_spelling import render_template
 from kc2spice.netlist.printers.ngspice import Printer
 from kc2spice.netlist.printers.symbol_layout import SymbolPin, arrange_pins
-from kc2spice.netlist.scope import GROUND_NAMES, Scope, build_scope
-from kc2spice.netlist.spelling import render_template
+from kc2spice.netlist.subcircuit_library import Subcircuit
 
 GRID = 2.54  # mm, 100 mil
 # text of the field Sim.Params of an element, which contains the values of the netlist card
@@ -53,7 +53,9 @@ _ELEMENT_SYMBOLS = {  # name, title and drawing of each symbol, keyed by element
     "E": ("VOLTAGE_BY_VOLTAGE", "voltage source controlled by a voltage", "box"),
     "G": ("CURRENT_BY_VOLTAGE", "current source controlled by a voltage", "box"),
 }
-_MARK_SYMBOLS = {  # reference, title, drawing, pin, text position and kind of pin, keyed by name
+# KiCad symbols that are no netlist elements, keyed by symbol name.
+# Each tuple contains reference, title, drawing, pin, text position and electrical type of the pin.
+_MARK_SYMBOLS = {
     "GND": ("#PWR", "ground, node 0", "ground", SymbolPin(1, "GND", "top", 0, 0, 0.0), (0.0, -4.0),
             "power_in"),
     "PWR_FLAG": ("#FLG", "tells that ground is driven", "flag",
@@ -138,12 +140,13 @@ def _make_standard_fields(reference: str, value: str, description: str) -> dict[
 
 # --- KiCad project of a deck ---
 
+# Rotation [degrees] that points a ground symbol away from a part, keyed by the side of the part.
 _GROUND_ANGLES = {
     "bottom": 0,
     "right": 90,
     "top": 180,
     "left": 270,
-}  # angle [degrees] by which a ground symbol at each side points away from the part
+}
 # Row widths [grid units] in the order of trial, each with suitable paper sizes.
 _ROW_WIDTHS = {105: ("A4",), 150: ("A4", "A3"), 220: ("A3", "A2"), 320: ("A2", "A1", "A0")}
 SHEET_MARGIN = 10
@@ -234,12 +237,12 @@ def make_project(deck: Deck) -> dict[str, str]:
 
 
 def _list_simulation_commands(top: Scope) -> Iterator[str]:
-    """Yield the deck's commands with the names of sources and instances in KiCad."""
+    """List the deck's simulation commands; name elements as in the KiCad schematic."""
     sources = {key: _add_reference_number(item.name) for key, item in top.elements_by_key.items()}
     for card in top.commands:
         if not (isinstance(card, Directive) and card.keyword in _KICAD_COMMANDS):
             words = Printer().card(card).split()
-            yield " ".join(_rename_source(word, sources) for word in words)
+            yield " ".join(_replace_element_names(word, sources) for word in words)
 
 
 def _remove_repeated_symbols(symbols: Iterable[Symbol]) -> list[Symbol]:
@@ -252,8 +255,8 @@ def _add_reference_number(name: str) -> str:
     return name if name[-1].isdigit() else f"{name}1"
 
 
-def _rename_source(word: str, references: Mapping[str, str]) -> str:
-    """Return a command word in which names are replaced by KiCad references."""
+def _replace_element_names(word: str, references: Mapping[str, str]) -> str:
+    """Replace the element name in a word of a command by its reference in KiCad."""
     if word.lower() in references:
         return references[word.lower()]
     head, dot, rest = word.partition(".")
@@ -342,7 +345,7 @@ def _split_rows(items: Iterable[_PlacedSymbol], width: int) -> list[list[_Placed
 def _stack_rows(
     items: Iterable[_PlacedSymbol], width: int
 ) -> tuple[list[_PlacedSymbol], list[_Track]]:
-    """Return the symbols at their final positions, and the tracks of all rows."""
+    """Stack rows of symbols; return the placed symbols and the horizontal wires."""
     placed: list[_PlacedSymbol] = []
     tracks: list[_Track] = []
     y = SHEET_MARGIN
@@ -397,7 +400,7 @@ class _Track:
 def _list_channel_ends(
     row: Iterable[_PlacedSymbol], upwards: bool
 ) -> list[tuple[int, int, str, str]]:
-    """Return the pin ends of a row that lead to the channel above or below the row."""
+    """List pin ends that lead from a symbol row to the wiring channel above or below."""
     return [end for end in _list_pin_ends(row) if (end[2] == "top") == upwards]
 
 
@@ -429,10 +432,11 @@ def _assign_tracks(row: Iterable[_PlacedSymbol], y: int, upwards: bool) -> list[
 
 
 def _choose_columns(item: _PlacedSymbol, shared: Container[str]) -> dict[tuple[int, int], int]:
-    """Return the wiring column of each pin end of a symbol, keyed by its position.
+    """Choose the wiring column of each pin end of a symbol, keyed by pin-end position.
 
-    On each side, the column of the lowest pin is next to the symbol. The column of each higher pin
-    is outside of the columns and labels of all lower pins.
+    On each side of a symbol, the wire of the lowest pin is in the column next to the symbol. From
+    bottom to top, each pin has a column that is farther out than the columns and labels of all pins
+    below it.
     """
     result = {}
     for side, outwards in (("left", -1), ("right", 1), ("top", 0), ("bottom", 0)):

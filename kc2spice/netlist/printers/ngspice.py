@@ -19,12 +19,13 @@ from kc2spice.netlist.circuit import (
     select_items,
 )
 from kc2spice.netlist.expression import ExpressionWriter, Name, Tree, parse_expression, walk_tree
-from kc2spice.netlist.prefixes import with_prefixes
 from kc2spice.netlist.printers.line_breaks import wrap_card, wrap_comments
+from kc2spice.netlist.scale_factors import write_numbers_with_prefixes
 
 # Names in expressions that are not parameters and need no braces.
 _BARE_NAMES = frozenset({"time", "temper", "hertz", "pi"})
-_NUMERIC_CARDS = frozenset({".tran", ".ac", ".dc", ".noise"})  # cards whose words are numbers
+# Cards of analyses; the numbers on these cards are printed with scale factors, such as ``10u``.
+_NUMERIC_CARDS = frozenset({".tran", ".ac", ".dc", ".noise"})
 _TABLE_WIDTH = 96
 
 
@@ -43,7 +44,7 @@ class Printer(ExpressionWriter):
         return "\n".join(lines) + "\n"
 
     def format_cards(self, items: Sequence[Item]) -> Iterator[str]:
-        """Yield the text of each card, after the comments above the card."""
+        """Yield the comment lines of each netlist item, and then the card of the item."""
         for item in items:
             yield from _format_comments(item.notes)
             self.where = item.where
@@ -91,7 +92,7 @@ class Printer(ExpressionWriter):
         )
 
     def format_law(self, part: Element) -> str:
-        """Return the expression of a behavioural source.
+        """Format the law of a behavioural source as an expression.
 
         An expression with parameters is enclosed in braces completely, because ngspice inserts the
         content of inner braces as text.
@@ -124,7 +125,7 @@ class Printer(ExpressionWriter):
 
     def format_numbers(self, text: str) -> str:
         """Return a word of a card with numbers in the spelling of this dialect."""
-        return with_prefixes(text)
+        return write_numbers_with_prefixes(text)
 
     def format_word(self, text: str) -> str:
         """Return the text of a word; a word in braces or quotes is an expression."""
@@ -166,9 +167,9 @@ def locate_cards(circuit: Circuit, file: str) -> Circuit:
 def _locate_items(
     items: Iterable[Item], printer: Printer, file: str, lines: Iterator[int]
 ) -> Iterator[Item]:
-    """Yield items with their positions in the netlist file.
+    """Locate cards and subcircuits in a netlist file; yield them with line numbers.
 
-    The iterator ``lines`` counts the lines.
+    The iterator ``lines`` yields the line numbers of the file in ascending order.
     """
     for item in items:
         _skip_lines(lines, len(_format_comments(item.notes)))

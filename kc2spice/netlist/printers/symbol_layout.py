@@ -8,8 +8,8 @@ from operator import attrgetter
 
 from kc2spice.core.domains import ELECTRICAL, REFERENCES, SIGNAL, TRANSLATION
 from kc2spice.netlist.circuit import Pin
-from kc2spice.netlist.library import Subcircuit
-from kc2spice.netlist.scope import Scope, build_scope
+from kc2spice.netlist.name_scopes import Scope, build_scope
+from kc2spice.netlist.subcircuit_library import Subcircuit
 
 _LETTER_WIDTH = 0.45  # width of a letter in grid units
 _CONTROLLED_KINDS = frozenset("egs")  # elements whose third and fourth node draw no current
@@ -109,7 +109,8 @@ def _assign_sides(part: Subcircuit) -> tuple[list[tuple[int, Pin]], ...]:
     if electrical and mechanical:
         left = set(electrical)
     elif electrical:
-        left.update(signals)  # in an electronic part, signal pins without power are command inputs
+        # in an electronic part, signal pins, which carry no power, are command inputs
+        left.update(signals)
         left = left or {electrical[0]}
     elif mechanical:
         left = set(mechanical)

@@ -38,10 +38,10 @@ from kc2spice.netlist.expression import (
     substitute_names,
     walk_tree,
 )
-from kc2spice.netlist.library import Subcircuit
+from kc2spice.netlist.name_scopes import GROUND_NAMES, INCLUDES, Scope, build_scope
+from kc2spice.netlist.number_and_name_spelling import format_number
 from kc2spice.netlist.printers.ngspice import Printer
-from kc2spice.netlist.scope import GROUND_NAMES, INCLUDES, Scope, build_scope
-from kc2spice.netlist.spelling import format_number
+from kc2spice.netlist.subcircuit_library import Subcircuit
 
 # Reserved words of the Verilog-AMS Language Reference Manual 2.4, annex B, and names in the header
 # of each module.
@@ -72,7 +72,7 @@ _NO_EQUIVALENT = "Verilog-A has no equivalent of this card"
 # conductance [S] that enforces an initial condition; larger than all other conductances
 HOLD_CONDUCTANCE = 1e9
 SOURCE_RESISTANCE = 1e-15  # resistance [Ohm] in series with a voltage source
-# cards whose vectors may contain nodes that a module does not have
+# cards that may refer to nodes that a Verilog-A module does not have
 _OUTPUT_CARDS = (".print", ".meas")
 _FUNCTION_TEMPLATES = {
     "uramp": "max(0.0, {0})",
@@ -145,7 +145,7 @@ class VerilogWriter(ExpressionWriter):
         return self.format_law(parse_expression(text, where=self.where))
 
     def format_law(self, tree: Tree) -> str:
-        """Return the Verilog-A text of an expression, in parentheses if necessary."""
+        """Format a law's expression as Verilog-A text, in parentheses if necessary."""
         return self.write_tree(tree, 5)
 
     def write_tree(self, tree: Tree, level: int = 0) -> str:
@@ -190,11 +190,11 @@ class VerilogWriter(ExpressionWriter):
             if len(points) < max(4, len(numbers)) or len(at) != len(f) or at != sorted(set(at)):
                 raise UsageError(
                     (
-                        "a table in a Verilog-A module needs at least two increasing "
-                        "arguments, each with a value"
+                        "a table in a Verilog-A module needs at least two points with constant "
+                        "values, sorted by increasing argument"
                     ),
                     where=self.where,
-                    got=self.part,
+                    got=f"a table in {self.part}",
                 )
             self.module.functions.append(_write_table_function(name, at, f))
             return f"{name}({self.write_tree(arguments[0])})"
@@ -223,8 +223,8 @@ def format_module(part: Subcircuit) -> dict[str, str]:
 
     Raises
     ------
-    UsageError : Verilog-A has no equivalent of a card of the part, such as a waveform, a switch
-        with hysteresis, or a global ground.
+    UsageError : the part contains a card without an equivalent in Verilog-A, such as a waveform, a
+        switch with hysteresis, or a global ground.
     """
     if part.no_module:
         raise UsageError(
@@ -436,7 +436,7 @@ def _couple_inductors(part: Element, names: VerilogWriter) -> list[str]:
 
 
 def _write_table_function(name: str, x: list[float], f: list[float]) -> str:
-    """Return the text of a piecewise linear function that extrapolates its ends."""
+    """Return a piecewise linear function as text, linearly extrapolated at its ends."""
     lines = [f"  analog function real {name};", "    input x;", "    real x;", "    begin"]
 
     def append_search(low: int, high: int, indent: str) -> None:
@@ -477,7 +477,7 @@ def make_testbench(deck: Deck, modules: Collection[Subcircuit]) -> dict[str, str
         f"* Run it with:  {compiled} && ngspice -b -r {deck.name}.raw {main}",
         "* Each part is a Verilog-A module, compiled by OpenVAF and loaded by ngspice 39 or later.",
     )
-    items = [_replace_instance(item, stems, replaced) for item in tree.items]
+    items = [_adapt_to_modules(item, stems, replaced) for item in tree.items]
     loads = tuple(map("pre_osdi {}.osdi".format, stems.values()))
     control = Directive(".control", loads, notes=items[0].notes)
     models = []
@@ -491,8 +491,8 @@ def make_testbench(deck: Deck, modules: Collection[Subcircuit]) -> dict[str, str
     }
 
 
-def _replace_instance(item: Item, stems: Mapping[str, str], replaced: Collection[str]) -> Item:
-    """Return a deck item that is adapted to modules instead of subcircuits.
+def _adapt_to_modules(item: Item, stems: Mapping[str, str], replaced: Collection[str]) -> Item:
+    """Adapt a deck item to Verilog-A modules in place of subcircuits.
 
     The card of a module's instance is an N card with a ``.model`` card that contains the
     parameters. A card without an equivalent is replaced by an empty card.

@@ -4,7 +4,7 @@
 acoustic elements are masses M, resistances R and compliances C with the admittances ``1 / (j omega
 M)``, ``1 / R`` and ``j omega C``. The nodal equations ``Y p = U`` with the admittance matrix Y
 relate the node pressures p to unit volume velocities U at the faces. The far field of a part of
-type ``radiation`` follows from its pressure and its volume velocity.
+type ``radiation`` is computed from the pressure and the volume velocity at its surface.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from scipy.sparse.linalg import splu
 from kc2spice.core.domains import ACOUSTIC, AMBIENT
 from kc2spice.parts.acoustics._acoustic_part import COMPLIANCE, MASS, AcousticPart
 from kc2spice.parts.acoustics.radiation import FACE, FarField, RadiationKeys, find_far_field
-from kc2spice.scene.model import Part, Scene
+from kc2spice.scene.scene_classes import Part, Scene
 
 GROUND = "0"  # name of the ground node in a netlist
 MAX_DENSE_NODES = 60  # largest number of nodes for which dense matrices are used
@@ -75,9 +75,10 @@ class AcousticLoad:
     def compute_load_response(self, frequency: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Compute face impedances and sound pressures per volume velocity [Pa s/m3].
 
-        The impedances are pressures at the faces, an array of shape (frequencies, faces, faces).
-        Each sound pressure is the sum over all sources at the reference distance; the array has the
-        shape (frequencies, faces).
+        The impedances are an array of shape (frequencies, faces, faces). Entry (k, i, j) of the
+        impedances is the pressure at face i per volume velocity of face j, at frequency k. The
+        sound pressures refer to the reference distance, and have the shape (frequencies, faces).
+        Each sound pressure is the sum of the contributions of all sources.
         """
         nodes = sorted({node for b in self.branches for node in (b.plus, b.minus)} - {GROUND})
         place = {node: k for k, node in enumerate(nodes)}
@@ -143,7 +144,8 @@ def collect_load(scene: Scene, body: str, pins: Sequence[str]) -> AcousticLoad:
             if isinstance(part.type, AcousticPart):
                 parts[name] = part
                 ends = {
-                    scene.get_net(name, end) for end in (*part.type.list_end_pins(part), AMBIENT)
+                    scene.get_net(name, end)
+                    for end in (*part.type.list_pressure_pins(part), AMBIENT)
                 }
                 waiting |= ends - nets - {GROUND}
                 nets |= ends - {GROUND}
@@ -167,7 +169,7 @@ def _add_part(
     kind = part.type
     assert isinstance(kind, AcousticPart)
     network = kind.network(part, scene)
-    first, *others = kind.list_end_pins(part)
+    first, *others = kind.list_pressure_pins(part)
     nodes = {
         network.exits.get(pin, pin): scene.get_net(part.name, pin) for pin in (*others, AMBIENT)
     }

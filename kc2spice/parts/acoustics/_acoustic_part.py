@@ -18,17 +18,23 @@ from typing import Any
 
 from typing_extensions import TypeVar
 
-from kc2spice.core import laws
+from kc2spice.core import constitutive_laws as laws
 from kc2spice.core.domains import ACOUSTIC, AMBIENT
 from kc2spice.netlist.circuit import Circuit, Element, Item, Param, Parameters, Pin
 from kc2spice.netlist.expression import Tree
-from kc2spice.netlist.library import Header, Subcircuit
+from kc2spice.netlist.number_and_name_spelling import (
+    LEAK_RATE,
+    format_comment,
+    format_number,
+    format_voltage,
+)
 from kc2spice.netlist.shared_cards import attach_comments
-from kc2spice.netlist.spelling import LEAK_RATE, format_comment, format_number, format_voltage
+from kc2spice.netlist.subcircuit_library import Header, Subcircuit
 from kc2spice.parts.acoustics._fluids import FluidKeys
 from kc2spice.parts.electronics.two_terminal_types import make_element_law
 from kc2spice.physics.symbolic_algebra import evaluate_tree, parse_simplified
-from kc2spice.scene.model import (
+from kc2spice.scene.part_records import EquilibriumConditions, PartResult
+from kc2spice.scene.scene_classes import (
     GROUND,
     BuiltScene,
     GovernedScene,
@@ -38,7 +44,6 @@ from kc2spice.scene.model import (
     Terminal,
     WiredScene,
 )
-from kc2spice.scene.part_records import EquilibriumConditions, PartResult
 
 FluidKeysT = TypeVar("FluidKeysT", bound=FluidKeys, default=FluidKeys, covariant=True)
 
@@ -114,8 +119,8 @@ class AcousticNetwork:
 class AcousticPart(PartType[FluidKeysT]):
     """Base class of parts with a subcircuit that is an acoustic network.
 
-    An ammeter at the first pin measures the volume velocity into this pin. The last of the pins
-    with a volume velocity is the ambient pressure.
+    An ammeter at the first pin measures the volume velocity into this pin. The last acoustic pin of
+    the part is the pin ``ambient``, which represents the ambient pressure.
     """
 
     source = "closed form"
@@ -125,7 +130,7 @@ class AcousticPart(PartType[FluidKeysT]):
     def network(self, part: Part[FluidKeysT], scene: GovernedScene) -> AcousticNetwork:
         """Return the acoustic network of the part."""
 
-    def list_end_pins(self, part: Part[FluidKeysT]) -> tuple[str, ...]:
+    def list_pressure_pins(self, part: Part[FluidKeysT]) -> tuple[str, ...]:
         """Return the pressure pins except ``ambient``, beginning with the metered pin."""
         return ("a",)
 
@@ -143,7 +148,7 @@ class AcousticPart(PartType[FluidKeysT]):
         """Return the pins of the part in the order of its subcircuit."""
         ends = (
             replace(Terminal.from_domain(end, ACOUSTIC), required=True)
-            for end in self.list_end_pins(part)
+            for end in self.list_pressure_pins(part)
         )
         joined = scene.is_target(part.name, AMBIENT)
         ambient = Terminal.from_domain(AMBIENT, ACOUSTIC, None if joined else GROUND)
@@ -152,14 +157,14 @@ class AcousticPart(PartType[FluidKeysT]):
     def equilibrium_conditions(
         self, part: Part[FluidKeysT], scene: WiredScene
     ) -> EquilibriumConditions:
-        """Return the paths of steady volume velocity between the part's pins."""
+        """Return the paths of steady volume velocity, which an equilibrium requires."""
         return EquilibriumConditions(self.steady_flow_paths(part))
 
     def subcircuits(
         self, part: Part[FluidKeysT], build: BuiltScene, header: Header
     ) -> tuple[Subcircuit, ...]:
         """Return the subcircuit of the part, as a tuple of length 1."""
-        from kc2spice.synthesis.header import (
+        from kc2spice.synthesis.library_headers import (
             format_parameter_defaults,
             write_part_header,
         )  # loads slowly
@@ -185,7 +190,7 @@ class AcousticPart(PartType[FluidKeysT]):
         for name, text in network.constants.items():
             yield Parameters({name: f"{{{text}}}"})
         yield "* volume velocity into the part"
-        yield Element.from_words(METER, self.list_end_pins(part)[0], network.entry, "0")
+        yield Element.from_words(METER, self.list_pressure_pins(part)[0], network.entry, "0")
         for item in network.elements:
             yield from _write_element(item, noisy=noisy)
         yield from self.write_further_cards(part)
@@ -198,19 +203,19 @@ class AcousticPart(PartType[FluidKeysT]):
 
     def vectors(self, part: Part[FluidKeysT], build: BuiltScene) -> Mapping[str, PartResult]:
         """Return the ngspice expression of each result of the part, keyed by result name."""
-        n, first = part.name, self.list_end_pins(part)[0]
+        n, first = part.name, self.list_pressure_pins(part)[0]
         pressure, flow = ACOUSTIC.across, ACOUSTIC.through_variable
         across = format_voltage(build.get_net(part, first), build.get_net(part, AMBIENT)) or "v(0)"
         level = part.keys.fluid.level_reference_pressure
         wave = PartResult(across, pressure.factor, pressure.unit, level_reference=level)
         result = {f"{n}.{pressure.symbol}": wave}
         through = f"i(v.x{n}.{METER})".lower()
-        leaves = self.list_end_pins(part)[1:] or (AMBIENT,)
+        leaves = self.list_pressure_pins(part)[1:] or (AMBIENT,)
         result[f"{n}.{flow.symbol}"] = PartResult(through, flow.factor, flow.unit, leaves, (first,))
         return result
 
     def law(self, part: Part[FluidKeysT], build: BuiltScene) -> laws.Equations:
-        """Return the part's model equations, which are solved without a simulator."""
+        """Return the part's law: its model equations, solved by kc2spice without ngspice."""
         n, network = part.name, self.network(part, build.scene)
         devices, at_node = [], defaultdict[str, list[str]](list)
         for item in network.elements:
@@ -218,7 +223,7 @@ class AcousticPart(PartType[FluidKeysT]):
             devices.append(make_element_law(name, item.kind, network.evaluate_element(item)))
             at_node[item.plus].append(f"{name}.a")
             at_node[item.minus].append(f"{name}.b")
-        first, *others = self.list_end_pins(part)
+        first, *others = self.list_pressure_pins(part)
         nodes = {pin: network.exits.get(pin, pin) for pin in (*others, AMBIENT)}
         pins = [(pin, at_node[node][0]) for pin, node in ({first: network.entry} | nodes).items()]
         inside = tuple(tuple(ends) for ends in at_node.values() if len(ends) > 1)

@@ -18,13 +18,13 @@ from typing import Any
 
 import numpy as np
 
+from kc2spice.core.constitutive_laws import AcrossInput, Device, Flow, LawPin
 from kc2spice.core.domains import ACOUSTIC, AMBIENT
-from kc2spice.core.laws import AcrossInput, Device, Flow, LawPin
 
 
 @dataclass(frozen=True, eq=False)
 class DuctLaw(Device):
-    """Linear equations of a duct with its channels and thermal relaxations.
+    """Linear law of a duct with flow resistances, masses and thermal relaxations.
 
     ``nodes`` contains the compliance [m3/Pa] of each node; the nodes in ``ends`` are pins. A
     channel in ``channels`` consists of start node, end node, resistance [Pa s/m3] and mass [kg/m4].
@@ -81,7 +81,8 @@ class DuctLaw(Device):
     def state_scales(self) -> tuple[float, ...]:
         """Typical magnitude of each state, which scales its integration error.
 
-        The magnitude of a volume velocity is 1e-9 m3/s, and the magnitude of a pressure 1 mPa.
+        Integration errors are divided by a typical volume velocity of 1e-9 m3/s or by a typical
+        pressure of 1 mPa.
         """
         pressures = len(self.inner_node_names) + len(self.walls)
         return (1e-9,) * len(self.channels) + (1e-3,) * pressures

@@ -19,7 +19,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from kc2spice.core.laws import compute_low_pass_response
+from kc2spice.core.constitutive_laws import compute_low_pass_response
 from kc2spice.parts.acoustics._sound_filter import compute_low_pass_delay, delay_wave
 from kc2spice.parts.acoustics.radiation import RadiationKeys
 
@@ -38,26 +38,28 @@ def get_baffled_radius(keys: RadiationKeys) -> float:
     return keys.surface_radius if keys.shape == "baffled_piston" else 0.0
 
 
-def compute_edge_delay(keys: RadiationKeys, angle: float) -> float:
-    """Return by how much time [s] sound from a piston's edge leads that of its centre.
+def compute_edge_lead(keys: RadiationKeys, angle: float) -> float:
+    """Return the lead [s] of sound from a piston's edge over sound from its centre.
 
-    The lead time w applies to a piston in a baffle. For a listener at ``angle`` degrees from the
-    axis, sound from the nearest point of the edge arrives w earlier than sound from the centre.
+    A listener at ``angle`` degrees from the axis of a piston in a baffle first receives the sound
+    from the nearest point of the piston's edge. The sound from the centre of the piston arrives
+    later than the sound from the edge, by the returned time. For other shapes than a piston in a
+    baffle, 0 is returned.
     """
     return get_baffled_radius(keys) * math.sin(math.radians(angle)) / keys.fluid.sound_speed
 
 
 def find_first_null(surfaces: Iterable[RadiationKeys], angle: float) -> float:
     """Return the lowest frequency [Hz] at which the directivity is zero, rounded."""
-    delay = max(compute_edge_delay(keys, angle) for keys in surfaces)
+    delay = max(compute_edge_lead(keys, angle) for keys in surfaces)
     return float(f"{FIRST_NULL / (2 * math.pi * delay):.3g}")
 
 
 def compute_travel_time(keys: RadiationKeys, distance: float) -> float:
     """Return the travel time [s] of sound from a surface to a ``distance`` [m].
 
-    ``distance`` starts at the centre of the surface. The sound of a sphere starts at its surface,
-    and all other sound at the centre.
+    ``distance`` starts at the centre of the surface. The sound of a sphere starts at the surface of
+    the sphere. The sound of any other shape starts at the centre of its surface.
     """
     start = keys.surface_radius if keys.shape == "sphere" else 0.0
     return (distance - start) / keys.fluid.sound_speed
@@ -66,11 +68,12 @@ def compute_travel_time(keys: RadiationKeys, distance: float) -> float:
 def propagate_response(
     keys: RadiationKeys, sound: np.ndarray, frequency: np.ndarray, distance: float, angle: float
 ) -> np.ndarray:
-    """Return the sound pressure [Pa] at a listener versus frequency, scaled to 1 m.
+    """Return the pressure response [Pa] at 1 m with the delay and angle of a listener.
 
-    The pressure is multiplied by (distance / 1 m). The listener is at the ``distance`` [m] and the
-    ``angle`` [degrees] from the axis. ``sound`` is the frequency response of the netlist including
-    its low pass, an array of shape (frequencies,).
+    The factor (distance / 1 m) converts the far-field pressure to the distance of 1 m. The
+    ``distance`` [m] is measured from the source to the listener, and the ``angle`` [degrees] from
+    the axis of the source. ``sound`` is the frequency response of the netlist including its low
+    pass, an array of shape (frequencies,).
     """
     s = 2j * np.pi * frequency
     travel = np.exp(-s * compute_travel_time(keys, distance)) / compute_low_pass_response(
@@ -82,15 +85,16 @@ def propagate_response(
 def propagate_wave(
     keys: RadiationKeys, sound: np.ndarray, time: np.ndarray, distance: float, angle: float
 ) -> np.ndarray:
-    """Return the sound pressure [Pa] at a listener versus time, scaled to 1 m.
+    """Return the pressure waveform [Pa] at 1 m with the delay and angle of a listener.
 
-    The pressure is multiplied by (distance / 1 m). The listener is at the ``distance`` [m] and the
-    ``angle`` [degrees] from the axis. ``sound`` is the waveform of the netlist, an array of shape
-    (points,). The waveform is zero before its first point. The travel time is reduced by the delay
-    of the low pass.
+    The factor (distance / 1 m) converts the far-field pressure to the distance of 1 m. The
+    ``distance`` [m] is measured from the source to the listener, and the ``angle`` [degrees] from
+    the axis of the source. ``sound`` is the waveform of the netlist, an array of shape (points,).
+    The waveform is zero before its first point. The travel time is reduced by the delay of the low
+    pass.
     """
     first = compute_travel_time(keys, distance) - compute_low_pass_delay(keys.sound_corner)
-    weights, offsets = _sample_delays(compute_edge_delay(keys, angle))
+    weights, offsets = _sample_delays(compute_edge_lead(keys, angle))
     return delay_wave(time, sound, zip(weights, first + offsets, strict=True))
 
 
@@ -110,7 +114,7 @@ def compute_directivity(keys: RadiationKeys, angle: float, frequency: np.ndarray
 
     For a piston in a baffle, the ratio is ``2 J1(x) / x`` with ``x = k a sin(angle)``.
     """
-    delay = compute_edge_delay(keys, angle)
+    delay = compute_edge_lead(keys, angle)
     if not delay:
         return np.ones(frequency.size)
     from scipy.special import j1  # loads slowly

@@ -27,7 +27,8 @@ from kc2spice.core.sound_level import GAS_REFERENCE, LIQUID_REFERENCE
 
 LARGEST_GAS_DENSITY = 100.0  # kg/m3; a denser fluid counts as a liquid
 LARGEST_HEAT_RATIO = 5 / 3  # heat capacity ratio of a monatomic gas
-SMALLEST_DENSITY, LARGEST_DENSITY = 1e-6, 3e4  # kg/m3, from thin gases to above all liquids
+# Limits of the density [kg/m3]: the density of a thin gas, and a value above the densest liquid.
+SMALLEST_DENSITY, LARGEST_DENSITY = 1e-6, 3e4
 SMALLEST_SPEED, LARGEST_SPEED = 1.0, 1e4  # m/s, below and above the speed of sound of every fluid
 # Lower limits of viscosity and conductivity: a thousandth of the smallest values of gases.
 SMALLEST_VISCOSITY, LARGEST_VISCOSITY = 1e-9, 1e6  # viscosities [Pa s]
@@ -146,7 +147,7 @@ LIBRARY: Mapping[str, FluidTable] = {
 
 
 def _read_fluid(value: Any) -> Any:
-    """Return the built-in fluid of a name; return a value that is no text unchanged."""
+    """Replace a fluid name by the built-in fluid; return other values unchanged."""
     if not isinstance(value, str):
         return value
     fluid = LIBRARY.get(value.lower())
@@ -179,8 +180,8 @@ class FluidKeys(Section):
     motion: Literal["piston"] | None = Field(
         None,
         description=(
-            'Assumed motion of the body\'s face: "piston" if all points have the same '
-            "velocity. With this key, a run lists the effect of the assumption on the "
-            "sound level, and omits the warning"
+            'Assumed motion of the body\'s face: "piston" if all points have the same velocity. '
+            "With this key, a run lists the effect of the assumption on the sound level, and does "
+            "not warn if the face moves in another way"
         ),
     )

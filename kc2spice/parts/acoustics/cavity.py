@@ -29,9 +29,9 @@ from kc2spice.parts.acoustics._fluids import (
     SMALLEST_LENGTH,
     FluidKeys,
 )
-from kc2spice.scene.model import GovernedScene, Part, Scene
 from kc2spice.scene.part_records import NeglectedEffect
 from kc2spice.scene.parttype import register_part_type
+from kc2spice.scene.scene_classes import GovernedScene, Part, Scene
 
 SMALLEST_VOLUME = 1e-18  # m3, a cubic micrometre
 # relaxations in each decade of frequency, for an error of the wall losses below 1 %
@@ -91,7 +91,7 @@ class CavityKeys(FluidKeys):
 
     @property
     def characteristic_length(self) -> float:
-        """Volume divided by surface area [m], which determines the relaxations."""
+        """Characteristic length for heat conduction [m]: volume divided by surface area."""
         return self.volume / (self.surface or CUBE_SURFACE * self.volume ** (2 / 3))
 
     @property
@@ -189,7 +189,7 @@ stop = "2 kHz"
         return AcousticNetwork((), {}, tuple(elements), validity)
 
     def _describe_walls(self, walls: RelaxationSum | None) -> str:
-        """Describe the losses at the walls, with the error of their network."""
+        """Describe the wall losses and the error of the circuit that models the losses."""
         if walls is None:
             return "without losses at the walls"
         return f"losses at the walls within {100 * walls.loss_error:.2g} % in the band"

@@ -23,8 +23,8 @@ from kc2spice.parts.acoustics._displacement_figure import plot_displacements
 from kc2spice.parts.acoustics._fluids import LARGEST_AREA, SMALLEST_AREA
 from kc2spice.physics import Declaration, branch, displacement
 from kc2spice.physics.part_with_mass import DeclaredPartWithMass
-from kc2spice.scene.model import BuiltScene, Part, WiredScene
 from kc2spice.scene.parttype import register_part_type
+from kc2spice.scene.scene_classes import BuiltScene, Part, WiredScene
 
 
 class DiaphragmKeys(Section):

@@ -22,7 +22,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from kc2spice.core import laws
+from kc2spice.core import constitutive_laws as laws
 from kc2spice.core.domains import ACOUSTIC, AMBIENT
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Count, Length, make_invalid_value_error, si
@@ -47,7 +47,9 @@ from kc2spice.parts.acoustics._fluids import (
     FluidKeys,
 )
 from kc2spice.parts.acoustics.cavity import CORNERS_PER_DECADE, list_relaxations
-from kc2spice.scene.model import (
+from kc2spice.scene.part_records import NeglectedEffect, PartResult
+from kc2spice.scene.parttype import register_part_type
+from kc2spice.scene.scene_classes import (
     GROUND,
     BuiltScene,
     GovernedScene,
@@ -56,8 +58,6 @@ from kc2spice.scene.model import (
     Scene,
     Terminal,
 )
-from kc2spice.scene.part_records import NeglectedEffect, PartResult
-from kc2spice.scene.parttype import register_part_type
 
 EndType = Literal["none", "unflanged", "flanged"]
 END_CORRECTIONS: Mapping[EndType, float] = {"none": 0.0, "unflanged": 0.6127, "flanged": 0.8216}
@@ -191,8 +191,8 @@ class DuctPart(AcousticPart[DuctKeys]):
         """Return whether a rigid wall closes the far end of the duct."""
         return bool(getattr(part.keys, "closed", False))
 
-    def list_end_pins(self, part: Part[DuctKeys]) -> tuple[str, ...]:
-        """Return the pins of the open ends of the duct."""
+    def list_pressure_pins(self, part: Part[DuctKeys]) -> tuple[str, ...]:
+        """Return the pressure pins at the open ends of the duct."""
         return ("a",) if self.is_closed(part) else ("a", FAR_END)
 
     def steady_flow_paths(self, part: Part[DuctKeys]) -> tuple[tuple[str, str], ...]:
@@ -231,15 +231,15 @@ class DuctPart(AcousticPart[DuctKeys]):
 
         A part of type ``radiation`` already includes the end correction.
         """
-        for end in self.list_end_pins(part):
+        for end in self.list_pressure_pins(part):
             correction = getattr(part.keys, f"end_{end}")
             joined = part.pins.get(end, "").partition(".")[0]
             for other in scene.list_parts("radiation"):
                 meets = other.name == joined or other.pins.get("face") == f"{part.name}.{end}"
                 if meets and correction != "none":
                     warnings.warn(
-                        f'{part.name}: end_{end} = "{correction}" and {other.name} both contain '
-                        f'the fluid outside of this end: set end_{end} = "none"',
+                        f"{part.name}: the mass of the fluid outside of end {end} counts twice, in "
+                        f'end_{end} = "{correction}" and in {other.name}: set end_{end} = "none"',
                         stacklevel=2,
                     )
 
@@ -292,7 +292,7 @@ class DuctPart(AcousticPart[DuctKeys]):
         start, last = "in", "end" if self.is_closed(part) else "out"
         for end, outer, inner in (("a", "in", "mouth_a"), (FAR_END, "mouth_b", "out")):
             share = END_CORRECTIONS[getattr(keys, f"end_{end}")]
-            if share and end in self.list_end_pins(part):
+            if share and end in self.list_pressure_pins(part):
                 mass = repr(inertia * share * keys.inner_radius)
                 yield AcousticElement(MASS, f"end_{end}", outer, inner, mass)
                 start = inner if end == "a" else start
@@ -324,7 +324,7 @@ class DuctPart(AcousticPart[DuctKeys]):
         return result
 
     def law(self, part: Part[DuctKeys], build: BuiltScene) -> laws.Equations:
-        """Return the part's model equations, which are solved without a simulator.
+        """Return the part's law: its model equations, solved by kc2spice without ngspice.
 
         One device represents the complete duct, because separate devices for all elements would be
         hundreds of devices.
@@ -335,7 +335,7 @@ class DuctPart(AcousticPart[DuctKeys]):
         names = {"a": ACOUSTIC.through_variable.symbol}
         names[FAR_END] = f"{names['a']}_{FAR_END}"
         results = {f"{n}.{ACOUSTIC.across.symbol}": laws.subtract_waves(f"{n}.a", f"{n}.{AMBIENT}")}
-        for end, sign in zip(self.list_end_pins(part), (1.0, -1.0), strict=False):
+        for end, sign in zip(self.list_pressure_pins(part), (1.0, -1.0), strict=False):
             results[f"{n}.{names[end]}"] = laws.scale_wave(f"{n}.{end}.through", sign)
         joins = tuple((pin.name, f"{n}.{pin.name}") for pin in law.pins)
         return laws.Equations((law,), joins, results)
@@ -480,7 +480,7 @@ stop = "3 kHz"
                 "a closed tube has no pin at its end b",
                 got=f"closed = true and pins.{FAR_END}",
                 expected=f"either closed = true or pins.{FAR_END}",
-                hint="delete closed",
+                hint="delete the key `closed`",
             )
         if keys.closed and keys.end_b != "none":
             yield part.wrong(
@@ -488,7 +488,7 @@ stop = "3 kHz"
                 "a closed end cannot have an end correction",
                 got=keys.end_b,
                 expected="none",
-                hint="delete end_b",
+                hint="delete the key `end_b`",
             )
         if keys.sections is None and self._count_required_sections(part, scene) > MOST_SECTIONS:
             warnings.warn(

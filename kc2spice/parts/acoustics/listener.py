@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 from pydantic import Field
 
-from kc2spice.core import laws
+from kc2spice.core import constitutive_laws as laws
 from kc2spice.core.domains import ACOUSTIC, AMBIENT, SIGNAL
 from kc2spice.core.errors import UsageError, unknown
 from kc2spice.core.figure import Curve, Figure, Panel, format_axis_label, get_axis_label_and_factor
@@ -19,8 +19,8 @@ from kc2spice.core.si_prefix_format import format_quantity
 from kc2spice.core.sound_level import SoundLevel, compute_level
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Circuit, Element, Item, Pin, make_positive_parameter
-from kc2spice.netlist.library import Header, Subcircuit
-from kc2spice.netlist.spelling import format_comment, format_number
+from kc2spice.netlist.number_and_name_spelling import format_comment, format_number
+from kc2spice.netlist.subcircuit_library import Header, Subcircuit
 from kc2spice.parts.acoustics._acoustic_part import RATING
 from kc2spice.parts.acoustics._far_field import (
     find_first_null,
@@ -31,7 +31,9 @@ from kc2spice.parts.acoustics._far_field import (
 from kc2spice.parts.acoustics.radiation import REFERENCE_DISTANCE, SOUND, RadiationKeys
 from kc2spice.scene.checks import Metric
 from kc2spice.scene.highest_frequency import find_highest_frequency
-from kc2spice.scene.model import (
+from kc2spice.scene.part_records import NeglectedEffect, PartResult
+from kc2spice.scene.parttype import register_part_type
+from kc2spice.scene.scene_classes import (
     GROUND,
     BuiltScene,
     DeclaredScene,
@@ -42,8 +44,6 @@ from kc2spice.scene.model import (
     Scene,
     Terminal,
 )
-from kc2spice.scene.part_records import NeglectedEffect, PartResult
-from kc2spice.scene.parttype import register_part_type
 
 OUT = "out"  # pin whose voltage is the sound pressure
 RADIATION = "radiation"  # part type of the radiating surfaces
@@ -180,18 +180,19 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
                 yield part.wrong(
                     "sources",
                     "the sources of a listener are in different fluids",
-                    got=source.name,
+                    got=f"{source.name} in another fluid than {sources[0].name}",
                     expected="sources in one fluid",
-                    hint=f"write the fluid of {sources[0].name} for {source.name}",
+                    hint=f"write the same value of the key `fluid` in [{source.name}] as in "
+                    f"[{sources[0].name}]",
                 )
         for item in sources:
             if item.pins.get(AMBIENT, GROUND) != GROUND:
                 yield part.wrong(
                     "sources",
-                    "a listener needs surfaces whose pin ambient is on ground",
+                    f"a listener needs surfaces whose pin {AMBIENT} is connected to {GROUND}",
                     got=f"{item.name}.{AMBIENT} = {item.pins[AMBIENT]}",
-                    expected=f"{AMBIENT} on {GROUND}",
-                    hint=f"delete {AMBIENT} of the pins of {item.name}",
+                    expected=f"{item.name}.{AMBIENT} connected to {GROUND}",
+                    hint=f"delete {AMBIENT} from the pins of {item.name}",
                 )
         for item in sources:
             if item.keys.shape == "sphere" and part.keys.distance < item.keys.surface_radius:
@@ -201,7 +202,7 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
                     f"the listener is inside of the sphere {item.name}",
                     got=got,
                     expected=f"at least {least:g} m",
-                    hint=f"raise distance to {least:g} m",
+                    hint=f"raise the key `distance` to {least:g} m",
                 )
         baffled = [item.name for item in sources if item.keys.shape == "baffled_piston"]
         if part.keys.angle > RIGHT_ANGLE and baffled:
@@ -210,7 +211,7 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
                 f"the listener is behind the baffle of {baffled[0]}",
                 got=f"{part.keys.angle:g}",
                 expected="at most 90 degrees",
-                hint="lower angle to 90",
+                hint="lower the key `angle` to 90",
             )
         self._warn_of_limits(part, sources, scene)
 
@@ -225,18 +226,17 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
         limit = min(map(self._find_largest_frequency, [part] * len(sources), sources))
         if scene.analysis.is_small_signal and top > limit:
             warnings.warn(
-                f"{part.name}: the far field at {format_quantity(keys.distance, 'm')} ends at "
-                f"{format_quantity(limit, 'Hz')}, but the analysis ends at "
-                f"{format_quantity(top, 'Hz')}: above the first frequency, the pressure is "
-                "inaccurate",
+                f"{part.name}: at a distance of {format_quantity(keys.distance, 'm')}, the "
+                f"pressure is inaccurate above {format_quantity(limit, 'Hz')}, where the far-field "
+                f"formula is invalid; the analysis ends at {format_quantity(top, 'Hz')}",
                 stacklevel=2,
             )
         surfaces = [source.keys for source in sources]
         if scene.analysis.type == "noise" and any(map(get_baffled_radius, surfaces)) and keys.angle:
             null = format_quantity(find_first_null(surfaces, keys.angle), "Hz")
             warnings.warn(
-                f"{part.name}: the angle has no effect in a noise analysis, although the sound at "
-                f"this angle is much weaker above {null}",
+                f"{part.name}: a noise analysis neglects the key `angle`, so the computed sound "
+                f"pressure is much too large above {null}",
                 stacklevel=2,
             )
 
@@ -259,7 +259,7 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
         self, part: Part[ListenerKeys], build: BuiltScene, header: Header
     ) -> tuple[Subcircuit, ...]:
         """Return the subcircuit of the part, as a tuple of length 1."""
-        from kc2spice.synthesis.header import (
+        from kc2spice.synthesis.library_headers import (
             format_parameter_defaults,
             write_part_header,
         )  # loads slowly
@@ -351,7 +351,7 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
     def figures(
         self, part: Part[ListenerKeys], build: BuiltScene, waves: Waveforms
     ) -> Iterator[Figure]:
-        """Yield the charts of the part for the report."""
+        """Yield the figures of the part for the report."""
         if build.scene.analysis.type != "ac" or self._is_level_probed(part, build.scene):
             return
         frequency, levels = waves["frequency"].real, self._compute_levels(part, build, waves)

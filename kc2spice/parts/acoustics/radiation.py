@@ -11,14 +11,14 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field, model_validator
 
-from kc2spice.core import laws
+from kc2spice.core import constitutive_laws as laws
 from kc2spice.core.domains import ACOUSTIC, AMBIENT, SIGNAL
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Length, make_invalid_value_error, si
 from kc2spice.core.si_prefix_format import format_quantity
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Element, Item, make_positive_parameter
-from kc2spice.netlist.spelling import format_number, format_voltage
+from kc2spice.netlist.number_and_name_spelling import format_number, format_voltage
 from kc2spice.parts.acoustics._acoustic_part import (
     MASS,
     METER,
@@ -41,9 +41,16 @@ from kc2spice.parts.acoustics._radiation_impedance import (
 )
 from kc2spice.parts.acoustics._sound_filter import CORNER_RATIO, compute_low_pass_delay, delay_wave
 from kc2spice.scene.highest_frequency import find_highest_frequency
-from kc2spice.scene.model import BuiltScene, GovernedScene, JoinedScene, Part, Scene, Terminal
 from kc2spice.scene.part_records import NeglectedEffect, PartResult
 from kc2spice.scene.parttype import register_part_type
+from kc2spice.scene.scene_classes import (
+    BuiltScene,
+    GovernedScene,
+    JoinedScene,
+    Part,
+    Scene,
+    Terminal,
+)
 
 FACE, SOUND = "face", "sound"  # pins of the radiating surface and of the far-field sound pressure
 # m, distance at which the pin ``sound`` states the far-field sound pressure
@@ -78,8 +85,8 @@ class RadiationKeys(FluidKeys):
         if self.motion is not None and self.shape == "sphere":
             raise make_invalid_value_error(
                 "a pulsating sphere cannot have the key `motion`",
-                "no key motion",
-                hint="delete motion",
+                "no key `motion`",
+                hint="delete the key `motion`",
             )
         return self
 
@@ -97,12 +104,15 @@ class RadiationKeys(FluidKeys):
 
     @property
     def sound_corner(self) -> float:
-        """Corner frequency [rad/s] of the sound's low-pass filter; infinite for a sphere."""
+        """Corner frequency [rad/s] of the low pass that smooths the voltage ``sound``.
+
+        The corner frequency is infinite for a sphere.
+        """
         return 2 * math.pi * CORNER_RATIO * self.largest_frequency
 
     @property
     def largest_frequency(self) -> float:
-        """Largest frequency [Hz] at which the errors of the radiation network are valid."""
+        """Frequency [Hz] up to which the stated errors of the radiation network apply."""
         return self.radiator.largest_frequency(self.surface_radius, self.fluid.sound_speed)
 
 
@@ -128,8 +138,8 @@ start = "100 Hz"
 stop = "20 kHz"
 """
 
-    def list_end_pins(self, part: Part[RadiationKeys]) -> tuple[str, ...]:
-        """Return the pin of the radiating surface."""
+    def list_pressure_pins(self, part: Part[RadiationKeys]) -> tuple[str, ...]:
+        """Return the pressure pin of the radiating surface."""
         return (FACE,)
 
     def steady_flow_paths(self, part: Part[RadiationKeys]) -> tuple[tuple[str, str], ...]:
@@ -232,9 +242,9 @@ stop = "20 kHz"
         return {name: delay_wave(x, waves[name], [(1.0, -compute_low_pass_delay(corner))])}
 
     def law(self, part: Part[RadiationKeys], build: BuiltScene) -> laws.Equations:
-        """Return the part's model equations, which are solved without a simulator."""
+        """Return the part's law: its model equations, solved by kc2spice without ngspice."""
         equations = super().law(part, build)
-        sound = {f"{part.name}.{SOUND}": _read_sound(part, equations)}
+        sound = {f"{part.name}.{SOUND}": _express_sound(part, equations)}
         return replace(equations, results={**equations.results, **sound})
 
     def notes(self, part: Part[RadiationKeys], scene: Scene) -> Iterator[str | NeglectedEffect]:
@@ -277,10 +287,11 @@ class FarField:
 def find_far_field(keys: RadiationKeys) -> FarField:
     """Return the coefficients of the far-field pressure of a surface.
 
-    A piston in a baffle has the far-field pressure ``rho / (2 pi r) dU/dt``. A sphere with the
-    pressure p on its surface has ``p a / r``, and an open end has ``rho / (4 pi r) d/dt (U + p S /
-    (rho c))``. The intensity on the axis of an open end is ``(k a)^2 / (1 - |R|^2)`` times the
-    intensity of a point source with the same power.
+    A piston in a baffle has the far-field pressure ``rho / (2 pi r) dU/dt``. The far-field pressure
+    of a sphere with the radius a and the pressure p on its surface is ``p a / r``. The far-field
+    pressure of an open end is ``rho / (4 pi r) d/dt (U + p S / (rho c))``. The intensity on the
+    axis of an open end is ``(k a)^2 / (1 - |R|^2)`` times the intensity of a point source with the
+    same power.
     """
     if keys.shape == "sphere":
         return FarField(keys.surface_radius / REFERENCE_DISTANCE, 0.0, rate=False)
@@ -291,8 +302,8 @@ def find_far_field(keys: RadiationKeys) -> FarField:
     return FarField(mass * area / (keys.fluid.density * keys.fluid.sound_speed), mass, rate=True)
 
 
-def _read_sound(part: Part[RadiationKeys], equations: laws.Equations) -> laws.WaveCombination:
-    """Express the sound pressure as a linear combination of integrator waveforms."""
+def _express_sound(part: Part[RadiationKeys], equations: laws.Equations) -> laws.WaveCombination:
+    """Express the sound pressure of a part as a linear combination of its waveforms."""
     field, terms = find_far_field(part.keys), list[tuple[float, str]]()
     symbols = {
         ACOUSTIC.through_variable.symbol: field.flow, ACOUSTIC.across.symbol: field.pressure,

@@ -14,7 +14,7 @@ from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.naming import list_names
 from kc2spice.core.progress import StageTimer
 from kc2spice.core.waveforms import Waveforms, integrate_cumulatively
-from kc2spice.netlist.spelling import LEAK_RATE
+from kc2spice.netlist.number_and_name_spelling import LEAK_RATE
 from kc2spice.parts.bodies._body_model import get_reduction_settings
 from kc2spice.parts.bodies._body_netlist import BodyNetlist
 from kc2spice.parts.bodies._body_ports import (
@@ -24,13 +24,13 @@ from kc2spice.parts.bodies._body_ports import (
     select_mechanical_ports,
     select_paired_ports,
 )
-from kc2spice.parts.bodies._linear_keys import LinearKeysT
+from kc2spice.parts.bodies._linear_body_keys import LinearKeysT
 from kc2spice.rom.linear_model import Certificate, LinearModel, Port
 from kc2spice.rom.modal_models import compute_resonators, simulate_resonators
 from kc2spice.rom.stability import prove_stability
 from kc2spice.scene.checks import Check, RunEnergyBalance
-from kc2spice.scene.model import BuiltScene, Part
 from kc2spice.scene.parttype import compute_pin_forces
+from kc2spice.scene.scene_classes import BuiltScene, Part
 from kc2spice.synthesis.mode_cards import COARSE_WEIGHTS
 
 DEPOLING_ADVICE = "the ceramic depolarises or breaks down; lower the drive, or state another limit"
@@ -42,14 +42,15 @@ FAILURE_ERROR = 0.1
 WARNING_ERROR = 0.01
 # Largest permitted relative error of a port's compliance above the band.
 # If a body in contact exceeds this error, the reduced model is checked under the loads of the run.
-# The built-in kick scenes, such as ``kick_slew``, have compliance errors of at most 0.20.
-# Under load, the errors of these kick scenes are below 0.3 % (rms).
-# Models of small chips with 7 to 12 states have compliance errors of at least 0.53.
-# Under load, the errors of these small chips are 2 to 3 %.
+# In the built-in kick scenes, such as ``kick_slew``, the relative error of a port's compliance is
+# at most 0.20.
+# Under the loads of a run, the reduced models of the built-in kick scenes have rms errors below
+# 0.3 %.
+# In models of small chips with 7 to 12 states, the relative error of a port's compliance is at
+# least 0.53.
+# Under the loads of a run, the models of small chips with 7 to 12 states have errors of 2 to 3 %.
 MAX_COMPLIANCE_ERROR = 0.3
-REDUCED_ADVICE = (
-    "the reduced model is that far off somewhere in its band: set rom.tolerance, or rom.order"
-)
+REDUCED_ADVICE = "the reduced model of order {} is too inaccurate in its band: {}"
 LOADED_UNIT = "rms of displacement or charge, under the run's own loads"
 FEWER_STATES_ADVICE = (
     "a model of {} states answers the run's own forces and voltages that differently: set {}"
@@ -70,7 +71,7 @@ STEEP_EDGE_ADVICE = (
 )
 CONTACT_ADVICE = "a contact excites modes of the body that the reduced model lacks: widen rom.band"
 # Smallest ratio of the upper end of the band to the lowest resonance frequency.
-# With a smaller ratio, the results of a kick scene had an error of 2 %.
+# A band that ended below 1.5 times the lowest resonance caused an error of 2 % in a kick scene.
 MIN_BAND_RATIO = 1.5
 # Time points count as equal if their distance is below this fraction of the run's duration.
 EQUAL_TIME_TOLERANCE = 1e-9
@@ -110,7 +111,7 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
                 yield Check(f"stability of {part.name}", 1.0, 0.0, "", advice, then)  # type: ignore[arg-type]
         if result is not None and "frequency" in waves:
             highest = float(waves["frequency"].real.max())
-            # the factor allows for the rounding error of a frequency
+            # the factor 1 + 1e-9 allows for the rounding error of the highest frequency
             limit = (1 + 1e-9) * result.band_hz[1]
             yield Check(f"band of {part.name}", highest, limit, "Hz", OUTSIDE_BAND_ADVICE, "warn")
         yield from self._check_rating(part, build, waves)
@@ -175,7 +176,8 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
                 part, build, waves, build.model(part, LinearModel)
             )
         if loaded is None:
-            yield _make_reduction_check(name, error, "", REDUCED_ADVICE)
+            advice = self._advise_reduction(part, build)
+            yield _make_reduction_check(name, error, "of a response", advice)
             return
         worst, states = loaded
         model, target = build.model(part, LinearModel), get_reduction_settings(part, build.scene)
@@ -191,6 +193,16 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
         yield Check(
             f"resonances of {name}", error, WARNING_ERROR, "of a response", RESONANCE_ADVICE, "warn"
         )
+
+    def _advise_reduction(self, part: Part[LinearKeysT], build: BuiltScene) -> str:
+        """Return the advice for a body whose reduced model is too inaccurate in its band."""
+        model, target = build.model(part, LinearModel), get_reduction_settings(part, build.scene)
+        shared = part.keys.rom is None and "rom" in build.scene.frame.model_fields_set
+        key = "rom" if shared else f"{part.name}.rom"
+        action = f"lower {key}.tolerance"
+        if target.order is not None:
+            action = f"delete {key}.order, so that {key}.tolerance determines the number of states"
+        return REDUCED_ADVICE.format(model.order, action)
 
     def estimate_error_under_load(
         self, part: Part[LinearKeysT], build: BuiltScene, waves: Waveforms, model: LinearModel
@@ -213,7 +225,7 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
 
         def build_larger_model() -> LinearModel | None:
             """Build a reduced model with more states; return None if no such model exists."""
-            if self._has_constant_losses(part):
+            if self._has_constant_loss_factors(part):
                 return None
             try:
                 return self.get_fixed_order_reductions(
@@ -241,10 +253,11 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
     ) -> Iterator[Check]:
         """Yield checks that the drive frequencies lie within the model's band.
 
-        The frequency of a drive voltage v is ``max |v'| / (pi (max v - min v))``. For a sine, this
-        formula gives the frequency of the sine. For an edge, this formula gives about a third of
-        the reciprocal of the edge time. With a contact, only the first resonance is compared with
-        the band, because the contact excites the first resonance more than any drive.
+        The frequency of a drive voltage v is computed as ``max |v'| / (pi (max v - min v))``. For a
+        sinusoidal drive voltage v, ``max |v'| / (pi (max v - min v))`` is the frequency of the
+        sine. For a voltage edge, the computed frequency is about a third of the reciprocal of the
+        edge time. In a scene with a contact, the function only checks that the band contains the
+        first resonance. A contact excites the first resonance more than any drive voltage does.
         """
         scene, t, high = build.scene, waves["time"], certificate.band_hz[1]
         rows = scene.numerics
@@ -291,14 +304,15 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
     def _balance_energy(
         self, part: Part[LinearKeysT], build: BuiltScene, waves: Waveforms
     ) -> RunEnergyBalance | None:
-        """Return the energy balance of a body in a run, with losses of the exact response.
+        """Return a body's energy balance in a run; recorded loads determine the losses.
 
         The exact response is the response of the reduced model to the recorded loads. The losses
         are the work of the loads on the exact response, minus the energy stored by the exact
         response. If the current of the body is among the waveforms, the electrical work is computed
-        from this current. The balance is relative to the largest change of the stored energy, or
-        without motion to the rounding error of the stored energy. If the time steps do not resolve
-        the ringing, the comparison stops at the end of the last force on the body.
+        from this current. The balance is relative to the largest change of the stored energy. If
+        the stored energy is constant, the balance is relative to the rounding error of the stored
+        energy. If the time steps do not resolve the ringing, the comparison stops at the end of the
+        last force on the body.
         """
         model, t = compute_resonators(build.model(part, LinearModel)), waves["time"]
         ports = self.used_ports(part, build.scene)

@@ -23,7 +23,7 @@ from kc2spice.core.si_prefix_format import format_quantity
 from kc2spice.fem.body_keys import DampingKeys
 from kc2spice.fem.materials import MaterialTable
 from kc2spice.parts.bodies._body_ports import BodyPorts, requires_massless_ports
-from kc2spice.parts.bodies._linear_keys import LinearKeysT
+from kc2spice.parts.bodies._linear_body_keys import LinearKeysT
 from kc2spice.parts.bodies._varied_keys import (
     RANGES_KEY,
     check_parameter_ranges,
@@ -32,13 +32,13 @@ from kc2spice.parts.bodies._varied_keys import (
     read_key_values,
     with_values,
 )
-from kc2spice.rom.complex_constants import ComplexConstants
+from kc2spice.rom.complex_material_constants import ComplexConstants
 from kc2spice.rom.linear_model import Certificate, LinearModel, Port
 from kc2spice.rom.modal_models import compute_resonators
 from kc2spice.rom.parametric_models import DampingParameter, ParameterAxis
 from kc2spice.rom.range_reduction import ModelOverRanges, RangeTask
 from kc2spice.rom.resonators_over_ranges import ResonatorsOverRanges
-from kc2spice.scene.model import GovernedScene, Part, Scene
+from kc2spice.scene.scene_classes import GovernedScene, Part, Scene
 from kc2spice.scene.settings import RomKeys
 
 if TYPE_CHECKING:
@@ -92,10 +92,10 @@ class BodyModel(BodyPorts[LinearKeysT]):
         clock: StageTimer,
         like: Part[LinearKeysT],
     ) -> LinearModel:
-        """Return the full model of a changed part on the moved mesh of the original part.
+        """Return the full model of a changed part on the original mesh with moved nodes.
 
-        The nodes of the mesh are moved to the geometry of ``part``; ``like`` has other values of
-        its keys.
+        ``like`` is the original part, and ``part`` is a copy with other values of keys. The nodes
+        of the mesh of ``like`` are moved to the geometry of ``part``.
         """
         return self.make_full_model(part, scene, clock)
 
@@ -123,11 +123,11 @@ class BodyModel(BodyPorts[LinearKeysT]):
         """Return the reduction settings that the scene states, or default settings.
 
         By default, the settings are a tolerance and a band. In an ``ac`` analysis, the band ends 20
-        % above the last frequency. In a transient, the band contains the excited frequencies
-        (:meth:`PartType.numerics`), up to the first :data:`BAND_MODES` natural frequencies of the
-        body. In an ``ac`` analysis, the tolerance is 1e-3, a tenth of usual mesh errors. This
-        tolerance is larger than the rounding errors of a thin free plate, which are about 1e-4 at
-        resonances.
+        % above the last frequency. In a transient, the band ends at the highest excited frequency
+        (:meth:`PartType.numerics`), but usually not above natural frequency number
+        :data:`BAND_MODES` of the body. In an ``ac`` analysis, the tolerance is 1e-3, a tenth of
+        usual mesh errors. This tolerance is larger than the rounding errors of a thin free plate,
+        which are about 1e-4 at resonances.
         """
         specified, result = part.keys.rom, self._find_reduction_settings(part, scene)
         if result is None and scene.analysis.is_small_signal:
@@ -135,15 +135,13 @@ class BodyModel(BodyPorts[LinearKeysT]):
             result = RomKeys(tolerance=1e-3, band=(0.8 * low, 1.2 * high))
         elif result is None:
             content = max((row.highest_frequency for row in scene.numerics), default=0.0)
-            result = RomKeys(
-                tolerance=1e-4, band=(0.0, max(content, self.get_default_band_end(scene)))
-            )
+            result = RomKeys(tolerance=1e-4, band=(0.0, max(content, self.get_min_band_end(scene))))
         if specified is None or result is specified:
             return result
         return result.model_copy(update={"parameters": specified.parameters})
 
     def find_least_band_end(self, part: Part[LinearKeysT], scene: Scene) -> float | None:
-        """Return the smallest permitted upper end [Hz] of a transient's default band.
+        """Return the frequency [Hz] that a transient's default band must at least reach.
 
         The result is None in other analyses, and with a band that the user states. The lower limit
         does not depend on the natural frequencies of the body.
@@ -154,14 +152,14 @@ class BodyModel(BodyPorts[LinearKeysT]):
         ):
             return None
         content = (row.highest_frequency for row in scene.numerics if math.isfinite(row.step))
-        return max([self.get_default_band_end(scene), *content])
+        return max([self.get_min_band_end(scene), *content])
 
-    def get_default_band_end(self, scene: Scene) -> float:
-        """Return the lower limit [Hz] for the upper end of any default frequency band."""
+    def get_min_band_end(self, scene: Scene) -> float:
+        """Return the minimum [Hz] of the upper end of a default frequency band."""
         return MIN_BAND_END
 
     def model_key(self, part: Part[LinearKeysT], scene: Scene) -> Mapping[str, Any]:
-        """Return the cache key of the reduced model, with all data that determine it."""
+        """Return the cache key of the reduced model: all data that determine the model."""
         rom = get_reduction_settings(part, scene)
         settings = rom.model_dump(mode="json")
         result = {
@@ -188,7 +186,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
                 "a netlist with parameters cannot contain a dielectric loss",
                 got=read_loss_tangent(part),
                 expected="0",
-                hint="delete loss_tangent",
+                hint="delete the key `loss_tangent`",
             )
         if has_complex_constants(part):
             raise wrong(
@@ -201,7 +199,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
         if self.gives_off_heat(part, scene):
             raise wrong(
                 f"{part.name}.{RANGES_KEY}",
-                "a netlist with parameters has no heat pin",
+                "a netlist with parameters cannot have a heat pin",
                 got=", ".join(i.key for i in keys),
                 expected="no parameters",
                 hint=f"delete {RANGES_KEY}, or disconnect the heat pin",
@@ -209,7 +207,8 @@ class BodyModel(BodyPorts[LinearKeysT]):
         if scene.analysis.type == "noise":
             raise wrong(
                 f"{part.name}.{RANGES_KEY}",
-                "a netlist with parameters has no thermal noise",
+                "a netlist with parameters contains no thermal noise, so it does not support a "
+                "noise analysis",
                 got=", ".join(i.key for i in keys),
                 expected="no parameters",
                 hint=f"delete {RANGES_KEY} for this analysis",
@@ -263,14 +262,14 @@ class BodyModel(BodyPorts[LinearKeysT]):
 
         return reduce_over_ranges(task)
 
-    def _has_constant_losses(self, part: Part[LinearKeysT]) -> bool:
-        """Return whether the body has losses that constant matrices cannot represent."""
+    def _has_constant_loss_factors(self, part: Part[LinearKeysT]) -> bool:
+        """Return whether the body has loss factors that are constant over frequency."""
         return bool(read_loss_tangent(part)) or has_complex_constants(part)
 
     def _make_mid_range_full_model(
         self, part: Part[LinearKeysT], scene: Scene, clock: StageTimer
     ) -> LinearModel:
-        """Return the full model with used ports, on the mesh for mid-range key values."""
+        """Make the full model with only the used ports, meshed for mid-range key values."""
         keys, names = list_varied_keys(part), self.used_port_names(part, scene)
         if not keys:
             return self.make_full_model(part, scene, clock).select(names)
@@ -285,7 +284,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
             # The matrices of a full model cannot represent losses that are constant over frequency.
             return (
                 None
-                if self._has_constant_losses(part)
+                if self._has_constant_loss_factors(part)
                 else self._make_mid_range_full_model(part, scene, clock)
             )
         if keys := list_varied_keys(part):
@@ -297,7 +296,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
 
         def build() -> LinearModel:
             """Build the reduced model of the part with its losses."""
-            from kc2spice.rom.complex_constants import make_complex_constants_model
+            from kc2spice.rom.complex_material_constants import make_complex_constants_model
             from kc2spice.rom.error_estimate import choose_default_norm
             from kc2spice.rom.modal_models import add_dielectric_loss, make_highest_modes_massless
             from kc2spice.rom.soft_support import support_softly
@@ -318,21 +317,17 @@ class BodyModel(BodyPorts[LinearKeysT]):
                 small = support_softly(small, band)
                 modal = compute_resonators(small)
             if modal is None and (tangent or constants):
-                problem, key = (
-                    "a loss tangent needs uncoupled modes without a rigid-body mode",
-                    "loss_tangent",
-                )
-                if constants:
-                    problem, key = (
-                        "complex constants need uncoupled modes without a rigid-body mode",
-                        "model",
-                    )
                 raise wrong(
-                    f"{part.name}.damping.{key}",
-                    problem,
+                    f"{part.name}.damping.{'model' if constants else 'loss_tangent'}",
+                    (
+                        f"{'complex constants' if constants else 'a loss tangent'} cannot be "
+                        "combined with damping that couples modes, or with a rigid-body mode"
+                    ),
                     got="damping that couples modes, or a rigid-body mode",
-                    expected="ratio, quality or loss_factor",
-                    hint="support the body, or state a band that begins above 0 Hz in rom.band",
+                    expected=(
+                        "damping by `ratio`, `quality` or `loss_factor`, and no rigid-body mode"
+                    ),
+                    hint="support the body, or let `rom.band` begin above 0 Hz",
                 )
             if modal is None:
                 return small
@@ -355,7 +350,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
         key: Mapping[str, Any],
         full: Callable[[], LinearModel],
     ) -> tuple[float, float]:
-        """Return ``band``, ending above the first natural frequencies of the full model."""
+        """Limit a transient's default band to the full model's first natural frequencies."""
         from kc2spice.rom.band import find_band_end
 
         (low, high), least_end = band, key.get("sure")
@@ -420,7 +415,8 @@ def has_complex_constants(part: Part) -> bool:
 
 def find_damping(part: Part) -> DampingKeys:
     """Return the damping settings from the key ``damping`` of a body."""
-    damping: DampingKeys = part.keys.damping  # type: ignore[attr-defined]  # not all bodies have it
+    # Not all bodies have the key ``damping``.
+    damping: DampingKeys = part.keys.damping  # type: ignore[attr-defined]
     return damping
 
 
@@ -451,16 +447,17 @@ def _replace_by_least_damping(
 ) -> LinearModel:
     """Return ``model`` with its constant losses replaced by smaller, viscous losses.
 
-    The viscous losses equal the constant losses of the complex material constants at the end of the
-    band, and are smaller below. Because the actual constant losses are larger, the error of a
-    reduction is at most its error with the viscous losses.
+    At the end of the band, the viscous losses equal the constant losses of the complex material
+    constants. At lower frequencies, the viscous losses are smaller than the constant losses.
+    Because the actual constant losses are larger, the error of a reduction is at most its error
+    with the viscous losses.
     """
     loss = make_complex_constants(part, model).loss_factor
     return replace(model, E=None, rayleigh=(0.0, loss / (2 * math.pi * band[1])))
 
 
 def find_full_model(part: Part, scene: Scene, clock: StageTimer) -> LinearModel | None:
-    """Return a body's full model in a scene; None if its losses permit no full model."""
+    """Return a body's full model; None if its matrices cannot represent the losses."""
     kind = part.type
     assert isinstance(kind, BodyModel)
     return kind.build(part, scene, clock, full=True)
@@ -477,9 +474,9 @@ def full_model_without_scene(part: Part, scene: GovernedScene, clock: StageTimer
         )
     if has_complex_constants(part):
         warnings.warn(
-            f"{part.name}.damping.model = ieee176: this model has viscous damping, because "
-            f"matrices cannot contain a loss that is constant over frequency; to include the "
-            f"constant loss, run or export the scene",
+            f"{part.name}.damping.model = ieee176: the matrices of {part.name} contain viscous "
+            f"damping, because matrices cannot contain a constant loss factor; to include the "
+            f"constant loss factor, run or export the scene",
             stacklevel=3,
         )
     kind = part.type

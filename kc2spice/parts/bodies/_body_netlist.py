@@ -6,26 +6,26 @@ from collections.abc import Mapping
 from itertools import chain
 from typing import Any
 
-from kc2spice.core import laws
+from kc2spice.core import constitutive_laws as laws
 from kc2spice.core.progress import StageTimer
 from kc2spice.core.untrusted_files import make_identifier
-from kc2spice.netlist.library import Header, Subcircuit
-from kc2spice.netlist.spelling import format_voltage
+from kc2spice.netlist.number_and_name_spelling import format_voltage
+from kc2spice.netlist.subcircuit_library import Header, Subcircuit
 from kc2spice.parts.bodies._body_model import BodyModel
 from kc2spice.parts.bodies._body_ports import get_flow_name, get_wave_name, select_paired_ports
-from kc2spice.parts.bodies._linear_keys import LinearKeysT
+from kc2spice.parts.bodies._linear_body_keys import LinearKeysT
 from kc2spice.parts.bodies._varied_keys import list_varied_keys
 from kc2spice.physics.loss_heat import add_loss_heat, list_heat_vectors
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.modal_models import compute_resonators
 from kc2spice.rom.pencil import convert_to_first_order
-from kc2spice.scene.model import BuiltScene, DeclaredScene, Part, Scene
 from kc2spice.scene.part_records import PartResult
 from kc2spice.scene.parttype import find_current_into, find_flow_into
+from kc2spice.scene.scene_classes import BuiltScene, DeclaredScene, Part, Scene
 from kc2spice.synthesis.heat_netlist import diagonalise_heat_model, is_heat_model
 from kc2spice.synthesis.heat_sources import METER
 from kc2spice.synthesis.mode_cards import COARSE_WEIGHTS, RINGING_WEIGHTS, StepWeights
-from kc2spice.synthesis.realize import UNRATED, subcircuit
+from kc2spice.synthesis.model_to_subcircuit import UNRATED, subcircuit
 
 RATING_TEXT = (
     "the electrodes, from rated_voltage or the field limit of the ceramic; not enforced here"

@@ -11,13 +11,14 @@ import numpy as np
 from kc2spice.core.domains import AMBIENT, BASE, HEAT, PORTS, REFERENCES, THERMAL, TRANSLATION
 from kc2spice.core.errors import unknown
 from kc2spice.core.naming import list_names
-from kc2spice.parts.bodies._linear_keys import LinearKeysT
+from kc2spice.parts.bodies._linear_body_keys import LinearKeysT
 from kc2spice.parts.mechanics._contact_keys import ContactKeys
 from kc2spice.parts.mechanics._contact_surfaces import ContactSurface, TouchablePart
 from kc2spice.physics.conductors import HEAT_TERMINALS, is_heated
 from kc2spice.rom.linear_model import LinearModel, Port
 from kc2spice.rom.modal_models import compute_resonators
-from kc2spice.scene.model import (
+from kc2spice.scene.part_records import EquilibriumConditions
+from kc2spice.scene.scene_classes import (
     GROUND,
     BuiltScene,
     DeclaredScene,
@@ -27,7 +28,6 @@ from kc2spice.scene.model import (
     Terminal,
     WiredScene,
 )
-from kc2spice.scene.part_records import EquilibriumConditions
 from kc2spice.synthesis.terminals import find_reference_pin
 
 # Physical domain of each kind of port that has one pin and shares the reference pin.
@@ -42,12 +42,12 @@ WAVE_WORDS = (
     *(domain.output_symbol for domain in SINGLE_PIN_KINDS.values()),
     *FLOW_SYMBOLS_OF_PORTS.values(),
 )
-# Largest energy of a mode that counts as zero, relative to the energy of the stiffest mode.
+# A mode's energy counts as zero up to this fraction of the energy of the stiffest mode.
 ZERO_ENERGY = 1e-13
 
 
 class BodyPorts(TouchablePart[LinearKeysT]):
-    """Part with typed ports; its model contains only the ports that the scene uses.
+    """Base of body part types, whose models contain only ports that the scene uses.
 
     A subclass derives its :meth:`ports` from the keys of the part.
     """
@@ -142,11 +142,12 @@ class BodyPorts(TouchablePart[LinearKeysT]):
     def equilibrium_conditions(
         self, part: Part[LinearKeysT], scene: WiredScene
     ) -> EquilibriumConditions:
-        """Return the paths of steady flow from the body's pins to its reference pin.
+        """Return the paths of steady flow through the body, which an equilibrium requires.
 
-        Displacement, angle, temperature and pressure pins have a path. The pin ``heat``, through
-        which the losses leave the body, has no path. A reference pin ``base`` or ``ground`` is
-        replaced by ground.
+        The body transmits a constant force, torque, heat flow or volume flow from each
+        displacement, angle, temperature or pressure pin to the reference pin. The pin ``heat``,
+        through which the losses leave the body, has no path of steady flow to the reference pin. A
+        reference pin ``base`` or ``ground`` is replaced by ground.
         """
         last = self.reference_terminal(part, scene)
         end = GROUND if last.name in (BASE, "ground") else last.name
@@ -158,10 +159,11 @@ class BodyPorts(TouchablePart[LinearKeysT]):
     def equilibrium_after_build(
         self, part: Part[LinearKeysT], build: BuiltScene
     ) -> EquilibriumConditions:
-        """Return the equilibrium conditions of the body, as implied by its built model.
+        """Return the equilibrium conditions of a body whose model is built.
 
-        The pins of a supported body have paths to the reference pin. The pins of a free body have
-        paths to each other. Only in a free body, a steady flow can pass an acoustic port.
+        The ``paths`` of a supported body lead from its pins to the reference pin. The ``paths`` of
+        a free body connect only its pins with each other, because no support carries a force. A
+        constant volume flow can pass through an acoustic port only if the body is free.
         """
         model, rest = build.models.get(part.name), build.scene.records[part.name].rest
         if not isinstance(model, LinearModel):
@@ -182,7 +184,7 @@ class BodyPorts(TouchablePart[LinearKeysT]):
         return EquilibriumConditions((*fixed, *product([first], others)), inertial_pins=inert)
 
     def pins_with_mass(self, part: Part[LinearKeysT], scene: JoinedScene) -> tuple[str, ...]:
-        """Return the displacement pins of the used mechanical ports."""
+        """Return the pins with mass: the displacement pins of the used mechanical ports."""
         ports = select_mechanical_ports(self.used_ports(part, scene))
         return tuple(port.terminals[0] for port in ports)
 

@@ -101,7 +101,8 @@ class LayerKeys(Section):
 class HeatSourceKeys(Section):
     """Keys of a heat source: a place where heat enters the body through a pin.
 
-    The voltage of the pin represents the mean temperature of the place.
+    The voltage of the pin represents the mean temperature of the mesh group or point that the
+    source heats.
     """
 
     group: str | None = Field(
@@ -126,7 +127,9 @@ class HeatSourceKeys(Section):
             raise make_invalid_value_error(
                 "this entry needs group or at",
                 None,
-                hint='add for example  group = "top"' if self.group is None else "delete at",
+                hint='add for example  group = "top"'
+                if self.group is None
+                else "delete the key `at`",
             )
         return self
 
@@ -179,7 +182,7 @@ class HeatBodyKeys(MeshKeys):
 
     @property
     def film_pins(self) -> Iterator[str]:
-        """Names of the pins that represent the fluids at films."""
+        """Names of the film pins: temperatures of fluids that exchange heat with faces."""
         return (film.pin for film in self.films if film.pin is not None)
 
     @property
@@ -195,13 +198,13 @@ class HeatBodyKeys(MeshKeys):
             raise make_invalid_value_error(
                 "a heat_body needs either mesh or layers",
                 None,
-                hint="delete mesh" if self.mesh else 'add for example  mesh = "case.msh"',
+                hint="delete the key `mesh`" if self.mesh else 'add for example  mesh = "case.msh"',
             )
         if self.layers and (self.materials or self.interfaces or self.axisymmetric or self.groups):
             raise make_invalid_value_error(
                 "layers cannot be combined with materials, interfaces, axisymmetric or groups",
                 None,
-                hint="delete materials, interfaces, axisymmetric and groups",
+                hint="delete the keys `materials`, `interfaces`, `axisymmetric` and `groups`",
             )
         if self.mesh and not self.materials:
             raise make_invalid_value_error(

@@ -12,10 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from kc2spice.core import laws
+from kc2spice.core import constitutive_laws as laws
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Figure, FileWriter
-from kc2spice.core.mesh_error import MESH_QUANTITIES, NOT_ESTIMATED, PLANE_UNKNOWN_RATIO
+from kc2spice.core.mesh_error_descriptions import (
+    MESH_QUANTITIES,
+    NOT_ESTIMATED,
+    PLANE_UNKNOWN_RATIO,
+)
 from kc2spice.core.naming import list_names
 from kc2spice.core.progress import StageTimer
 from kc2spice.core.waveforms import Waveforms
@@ -29,13 +33,13 @@ from kc2spice.parts.bodies._body_model import (
     read_loss_tangent,
 )
 from kc2spice.parts.bodies._body_ports import select_paired_ports
-from kc2spice.parts.bodies._linear_keys import LinearKeysT
+from kc2spice.parts.bodies._linear_body_keys import LinearKeysT
 from kc2spice.parts.bodies._varied_keys import list_varied_keys, read_key_values, with_values
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.modal_models import compute_resonators
 from kc2spice.scene.checks import Check, Metric
-from kc2spice.scene.model import BuiltScene, Part, Scene
 from kc2spice.scene.part_records import LargestRealPartFrequency, NeglectedEffect
+from kc2spice.scene.scene_classes import BuiltScene, Part, Scene
 from kc2spice.scene.settings import ProbeKeys
 from kc2spice.synthesis.mode_cards import COARSE_WEIGHTS
 
@@ -56,12 +60,12 @@ class LinearBody(BodyChecks[LinearKeysT]):
         self, part: Part[LinearKeysT], build: BuiltScene, waves: Waveforms
     ) -> Mapping[str, object]:
         """Return the metrics of the part, keyed by name."""
-        z = compute_impedance(part, waves)
-        if z is None:
+        response = compute_impedance(part, waves)
+        if response is None:
             return {}
         from kc2spice.bodies.impedance import analyse_impedance
 
-        frequency = waves["frequency"].real
+        frequency, z = response
         result, keys = compute_impedance_metrics(frequency, z), list_varied_keys(part)
         if not keys or "bvd" not in result:
             return result
@@ -152,12 +156,12 @@ class LinearBody(BodyChecks[LinearKeysT]):
     def figures(
         self, part: Part[LinearKeysT], build: BuiltScene, waves: Waveforms
     ) -> Iterator[Figure | FileWriter]:
-        """Yield the charts of the part for the report."""
+        """Yield the figures of the part for the report."""
         yield from _body_figures.plot_port_waves(part.name, waves)
-        z = compute_impedance(part, waves)
-        if z is not None:
+        response = compute_impedance(part, waves)
+        if response is not None:
             how = f"as the circuit shows it at {part.name}"
-            f = waves["frequency"].real
+            f, z = response
             yield _body_figures.plot_impedances(
                 part.name, f, {"": z}, how + _body_figures.IMPEDANCE_CAPTION
             )
@@ -298,18 +302,24 @@ def _convert_to_metrics(figures: Mapping[str, Any]) -> dict[str, Any]:
     return result
 
 
-def compute_impedance(part: Part, waves: Waveforms) -> np.ndarray | None:
-    """Return the impedance ``V / I`` [Ohm] at the first electrical port.
+def compute_impedance(part: Part, waves: Waveforms) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return frequencies [Hz] and impedances [Ohm] at the first electrical port.
 
-    V and I are complex waveforms of the port; the returned array has the shape (frequencies,). The
-    result is None if V or I was not recorded. The result is also None if the body supplies power,
-    because V / I is then not the impedance of the body.
+    Both arrays have the shape (frequencies,). An impedance is ``V / I``, in which the voltage V and
+    the current I are complex waveforms of the port. The frequency 0 Hz is left out, because the
+    impedance of a capacitance is infinite there. The result is None if V or I was not recorded. The
+    result is also None if the body supplies power, because V / I is then not the impedance of the
+    body.
     """
     voltage = waves.data.get(f"{part.name}.voltage")
     current = waves.data.get(f"{part.name}.current")
     if "frequency" not in waves or voltage is None or current is None:
         return None
-    if not np.abs(current).min() > 0:
+    frequency = waves["frequency"].real
+    varies = frequency > 0
+    frequency, voltage, current = frequency[varies], voltage[varies], current[varies]
+    if not frequency.size or not np.abs(current).min() > 0:
         return None
     result = np.asarray(voltage / current)
-    return None if (result.real < -MAX_ACTIVE_SHARE * np.abs(result)).any() else result
+    supplies = (result.real < -MAX_ACTIVE_SHARE * np.abs(result)).any()
+    return None if supplies else (frequency, result)

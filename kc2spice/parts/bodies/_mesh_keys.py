@@ -20,8 +20,8 @@ from kc2spice.core.quantities import (
 )
 from kc2spice.core.untrusted_files import locate_file_in_folder
 from kc2spice.fem import mesh_file
-from kc2spice.parts.bodies._linear_keys import FieldKeys
-from kc2spice.scene.model import DeclaredScene, Part
+from kc2spice.parts.bodies._linear_body_keys import FieldKeys
+from kc2spice.scene.scene_classes import DeclaredScene, Part
 
 Point: TypeAlias = tuple[Length, Length, Length]
 Name: TypeAlias = Annotated[str, StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,30}$")]
@@ -93,14 +93,14 @@ class GroupKeys(Section):
         """Require exactly one key that selects the CAD entities of the group."""
         if len({key.removesuffix("_in") for key in self.model_fields_set}) != 1:
             raise make_invalid_value_error(
-                "a group needs exactly one of the keys solids, faces, curves and points",
+                "a group needs exactly one of the keys `solids`, `faces`, `curves` and `points`",
                 None,
                 hint="keep one of these keys in the group",
             )
         return self
 
     def make_selection(self, unit: float) -> dict[str, Any]:
-        """Return the selection of CAD entities in the group, in the unit of the file.
+        """Make the selection of CAD entities, with coordinates in the CAD file's unit.
 
         The coordinates are multiples of ``unit`` [m].
         """
@@ -172,6 +172,8 @@ def find_mesh_problems(part: Part[MeshKeys], scene: DeclaredScene) -> Iterator[U
     try:
         path = mesh_path(part, scene)
         mesh_file.require_format(path)
+        if not path.exists():
+            raise mesh_file.make_missing_mesh_error(path)
         if path.is_file():
             mesh_file.find_length_unit(path, part.keys.unit)
     except UsageError as error:

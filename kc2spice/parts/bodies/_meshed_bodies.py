@@ -24,12 +24,12 @@ import numpy as np
 from kc2spice.core.domains import ACCELERATION, TRANSLATION
 from kc2spice.core.errors import UsageError, wrong
 from kc2spice.core.figure import Curve, Figure, FileWriter, Panel, Shape
-from kc2spice.core.mesh_error import list_limited_errors
+from kc2spice.core.mesh_error_descriptions import MESH_LIMIT_NAME, list_limited_errors
 from kc2spice.core.progress import StageTimer
 from kc2spice.core.si_prefix_format import format_quantity
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts.bodies._body_figures import draw_deformed_body, draw_modes
-from kc2spice.parts.bodies._linear_keys import FieldKeys, FieldKeysT
+from kc2spice.parts.bodies._linear_body_keys import FieldKeys, FieldKeysT
 from kc2spice.parts.bodies._neglected_effects import (
     Envelope,
     estimate_neglected_effects,
@@ -39,9 +39,9 @@ from kc2spice.parts.bodies._neglected_effects import (
 from kc2spice.parts.bodies._sounding_body import SoundingBody
 from kc2spice.rom.linear_model import LinearModel, Port
 from kc2spice.scene.checks import Check, Metric, RunEnergyBalance
-from kc2spice.scene.model import BuiltScene, DeclaredScene, GovernedScene, Part, Scene
 from kc2spice.scene.part_records import NeglectedEffect
 from kc2spice.scene.plausibility import check_layers
+from kc2spice.scene.scene_classes import BuiltScene, DeclaredScene, GovernedScene, Part, Scene
 
 if TYPE_CHECKING:
     from kc2spice.bodies.fields import Extreme, NodalMotion
@@ -49,8 +49,9 @@ if TYPE_CHECKING:
     from kc2spice.bodies.undamped_models import FiniteElementModel
 
 _COARSE_MESH_ADVICE = (
-    "refine the mesh (its key refine), or set error_budget, which refines all settings"
+    "refine the mesh by the key `refine`, or set `error_budget`, which refines all settings"
 )
+_UNRESOLVED_ADVICE = "the model is wrong above the limit: lower the frequency, or refine the mesh"
 MAX_DRAWN_MODES = 6  # number of drawn modes, starting from the lowest
 _SINGULARITY_ADVICE = (
     "look at the VTU file: edges of clamps and corners exceed any limit when refined"
@@ -100,7 +101,7 @@ class MeshedBody(SoundingBody[FieldKeysT]):
 
     @abstractmethod
     def describe_support(self, part: Part[FieldKeysT]) -> str:
-        """Return a description of the support of the body."""
+        """Describe how the body is supported, for the list of neglected effects."""
 
     def list_neglected_effects(
         self, part: Part[FieldKeysT], scene: Scene
@@ -165,7 +166,7 @@ class MeshedBody(SoundingBody[FieldKeysT]):
     ) -> Iterator[Check | RunEnergyBalance]:
         """Yield checks of the body: mesh errors, stress and electric field."""
         yield from super().checks(part, build, waves)
-        yield from check_mesh(part, build)
+        yield from check_mesh(part, build, waves)
         recovered = self.recover_inner_fields(part, build, waves)
         for item in recovered.extremes if recovered else ():
             if item.limit is not None:
@@ -179,7 +180,7 @@ class MeshedBody(SoundingBody[FieldKeysT]):
     def figures(
         self, part: Part[FieldKeysT], build: BuiltScene, waves: Waveforms
     ) -> Iterator[Figure | FileWriter]:
-        """Yield the charts of the part, and functions that write further files."""
+        """Yield the figures of the part, and the writers of its additional output files."""
         yield from super().figures(part, build, waves)
         if part.keys.fields:
             from kc2spice.bodies.fields import compute_lowest_modes
@@ -242,9 +243,10 @@ class MeshedBody(SoundingBody[FieldKeysT]):
             if unknown := [*filterfalse(loads.__contains__, port_names)]:
                 raise wrong(
                     f"{part.name}.fields",
-                    "fields cannot be computed, because some loads of the body are unknown",
-                    got=f"a force on {unknown[0]} without a recorded value",
-                    expected="contacts, springs, dampers, masses and sources",
+                    "fields cannot be computed, because the run does not record all port loads",
+                    got=f"a load of port {unknown[0]} that the run does not record",
+                    expected="only contacts, springs, dampers, masses and sources at the port",
+                    hint="connect only these part types to the port, or delete the key `fields`",
                 )
             device = self.get_fe_model(part, build.scene)
             if "time" in waves:
@@ -254,8 +256,7 @@ class MeshedBody(SoundingBody[FieldKeysT]):
             extremes = find_extremes(motion, np.arange(motion.scale.size))
             return waves, RecoveredFields(motion, tuple(extremes))
 
-        # The stored result contains a reference to ``waves``, so no other object can get the same
-        # ``id``, which is the key of the result.
+        # The key ``id(waves)`` stays unique, because the stored result refers to ``waves``.
         kind = f"fields of {part.name}"
         return build.workspace.get_or_compute(kind, id(waves), recover_fields)[1]
 
@@ -276,29 +277,50 @@ def find_field_problems(
             expected = "a transient analysis, fields = true in an ac analysis, or fields = false"
         yield wrong(
             f"{part.name}.fields",
-            "this value of fields needs a transient analysis",
+            "this value of the key `fields` needs a transient analysis",
             got=f"analysis {kind}",
             expected=expected,
-            hint="delete fields",
+            hint="delete the key `fields`",
         )
         return
     outside = [t for t in instants if not 0 <= t <= scene.stop_time]
     if outside:
-        expected = f"0 to {scene.stop_time:g} s"
+        expected = f"times from 0 to {scene.stop_time:g} s"
         yield wrong(
             f"{part.name}.fields",
-            "a time in fields is outside of the run",
+            "a time in the key `fields` is outside the simulated time range",
             got=f"{outside[0]:g} s",
             expected=expected,
             hint=f"write a time from 0 to {scene.stop_time:g} s in its place",
         )
 
 
-def check_mesh(part: Part, build: BuiltScene) -> Iterator[Check]:
-    """Yield checks of the mesh: its error estimates against their limits."""
-    for words, error, limit in list_limited_errors(build.get_model_values(part)):
-        name = f"mesh of {part.name}, {words}"
-        yield Check(name, error, limit, "relative, estimated", _COARSE_MESH_ADVICE, "warn")
+def check_mesh(part: Part, build: BuiltScene, waves: Waveforms) -> Iterator[Check]:
+    """Yield checks of the mesh after a run: error estimates and highest frequency.
+
+    The highest frequency is the end of the frequency range. In a transient, it is the end of the
+    band of the reduced model.
+    """
+    certificate = build.model(part, LinearModel).certificate
+    highest = 0.0 if certificate is None else certificate.band_hz[1]
+    if "frequency" in waves:
+        highest = float(waves["frequency"].real.max())
+    yield from check_mesh_values(part.name, build.get_model_values(part), highest)
+
+
+def check_mesh_values(name: str, values: Mapping[str, float], highest: float) -> Iterator[Check]:
+    """Yield checks of mesh errors, and of a frequency that the mesh does not resolve.
+
+    ``name`` is the name of the part, ``values`` are the values of its model, and ``highest`` [Hz]
+    is the highest frequency at which the model is used.
+    """
+    for words, error, limit in list_limited_errors(values):
+        words = f"mesh of {name}, {words}"
+        yield Check(words, error, limit, "relative, estimated", _COARSE_MESH_ADVICE, "warn")
+    resolved = values.get(MESH_LIMIT_NAME)
+    if resolved is not None and highest > resolved:
+        words = f"mesh of {name}, highest frequency"
+        yield Check(words, highest, resolved, "Hz", _UNRESOLVED_ADVICE, "warn")
 
 
 def list_field_instants(part: Part[FieldKeys]) -> tuple[float, ...]:
@@ -367,7 +389,7 @@ class BondedBody(MeshedBody[FieldKeysT]):
         clock: StageTimer,
         like: Part[FieldKeysT],
     ) -> LinearModel:
-        """Return the full model of a changed part on the moved mesh of the original part."""
+        """Return the full model of a changed part on the original mesh with moved nodes."""
         body = replace(self.select_used_faces(part, scene), like=self.make_bonded_blocks(like))
         return body.build_fe_model().model
 

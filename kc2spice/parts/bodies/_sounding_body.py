@@ -22,16 +22,16 @@ from kc2spice.parts.acoustics._fluids import FluidKeys
 from kc2spice.parts.acoustics.radiation import RadiationKeys
 from kc2spice.parts.bodies._body_ports import get_flow_name
 from kc2spice.parts.bodies._linear_body import LinearBody
-from kc2spice.parts.bodies._linear_keys import FieldKeysT
+from kc2spice.parts.bodies._linear_body_keys import FieldKeysT
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.scene.checks import Metric
-from kc2spice.scene.model import BuiltScene, GovernedScene, Part, Scene
 from kc2spice.scene.part_records import NeglectedEffect
+from kc2spice.scene.scene_classes import BuiltScene, GovernedScene, Part, Scene
 
 if TYPE_CHECKING:
     from kc2spice.bodies.undamped_models import FiniteElementModel
-    from kc2spice.parts.bodies._face_levels import FaceLevelEffects
     from kc2spice.parts.bodies._face_response import FluidAtFace, LoadedFace
+    from kc2spice.parts.bodies._face_sound_levels import FaceLevelEffects
 
 MEAN_CAPTION = "Mean displacement of each radiating face along its outward normal."
 LEVEL_SOURCES = ("kc2spice.bodies", "kc2spice.fem", "kc2spice.linalg", "kc2spice.rom")
@@ -60,7 +60,7 @@ class SoundingBody(LinearBody[FieldKeysT]):
         return {}
 
     def has_mirror_planes(self, part: Part[FieldKeysT]) -> bool:
-        """Return whether the model contains only a part of the body, bounded by mirror planes."""
+        """Return whether the model is only a part of the body, cut at mirror planes."""
         return False
 
     def facing_fluids(self, part: Part[FieldKeysT], scene: Scene) -> dict[str, FluidAtFace]:
@@ -74,7 +74,9 @@ class SoundingBody(LinearBody[FieldKeysT]):
             facing = list[FluidAtFace]()
             for name, pin in scene.list_joined_pins(part.name, port.terminals[0]):
                 kind, keys = scene.parts[name].type, scene.parts[name].keys
-                if isinstance(kind, AcousticPart) and pin in kind.list_end_pins(scene.parts[name]):
+                if isinstance(kind, AcousticPart) and pin in kind.list_pressure_pins(
+                    scene.parts[name]
+                ):
                     assert isinstance(keys, FluidKeys)
                     radiation = keys if isinstance(keys, RadiationKeys) else None
                     volume = kind.get_fluid_volume(scene.parts[name])
@@ -108,8 +110,8 @@ class SoundingBody(LinearBody[FieldKeysT]):
     ) -> FaceLevelEffects | None:
         """Load or estimate how assumptions about a face change its sound level."""
         from kc2spice.parts.acoustics._acoustic_load import collect_load
-        from kc2spice.parts.bodies._face_levels import FaceLevelEffects
         from kc2spice.parts.bodies._face_response import MAX_MODES, LoadedFace
+        from kc2spice.parts.bodies._face_sound_levels import FaceLevelEffects
 
         end = float(self.choose_reduction(part, scene).band[1])
         # A transient mainly excites the first mode, so only the first mode is compared with a
@@ -132,8 +134,8 @@ class SoundingBody(LinearBody[FieldKeysT]):
             "load": {"ports": list(joined), **load.make_record()},
         }
 
-        def build() -> FaceLevelEffects | None:
-            """Estimate how assumptions about a face change its sound level.
+        def estimate_effects() -> FaceLevelEffects | None:
+            """Build the estimate of how assumptions about a face change its sound level.
 
             The estimate is computed with the full model.
             """
@@ -145,7 +147,9 @@ class SoundingBody(LinearBody[FieldKeysT]):
         def load_or_estimate_effects() -> FaceLevelEffects | None:
             """Load the effects of assumptions on the sound level, or estimate these effects."""
             sources = (*LEVEL_SOURCES, "kc2spice.parts.acoustics", "kc2spice.parts.bodies")
-            return load_or_build("face", key, build, classes=(FaceLevelEffects,), sources=sources)
+            return load_or_build(
+                "face", key, estimate_effects, classes=(FaceLevelEffects,), sources=sources
+            )
 
         return scene.workspace.get_or_compute(
             f"{port} of {part.name}", key, load_or_estimate_effects
@@ -155,7 +159,7 @@ class SoundingBody(LinearBody[FieldKeysT]):
         self, part: Part[FieldKeysT], scene: Scene, face: LoadedFace
     ) -> FaceLevelEffects | None:
         """Estimate how assumptions about a face and its support change its sound level."""
-        from kc2spice.parts.bodies._face_levels import TOLERANCE, estimate_face_levels
+        from kc2spice.parts.bodies._face_sound_levels import TOLERANCE, estimate_face_levels
 
         result = estimate_face_levels(face)
         if result is not None and self.has_mirror_planes(part):
@@ -178,7 +182,7 @@ class SoundingBody(LinearBody[FieldKeysT]):
         If an acoustic part at a face states ``motion = "piston"``, there is no warning about this
         face.
         """
-        from kc2spice.parts.bodies._face_levels import describe_piston_difference
+        from kc2spice.parts.bodies._face_sound_levels import describe_piston_difference
 
         result = super().build(part, scene, clock, full)
         facing = {} if full else self.facing_fluids(part, scene)
@@ -193,12 +197,12 @@ class SoundingBody(LinearBody[FieldKeysT]):
     def list_neglected_effects(
         self, part: Part[FieldKeysT], scene: Scene
     ) -> Iterator[NeglectedEffect]:
-        """Yield the neglected effects of the body and of assumptions about its faces."""
+        """Yield the effects that the models of the body and of its sound neglect."""
         yield from super().list_neglected_effects(part, scene)
         facing = self.facing_fluids(part, scene)
         if not facing:
             return
-        from kc2spice.parts.bodies._face_levels import list_level_effects
+        from kc2spice.parts.bodies._face_sound_levels import list_level_effects
 
         effects: dict[NeglectedEffect, None] = {}
         for port, levels in self.estimate_levels_by_port(part, scene).items():
@@ -210,7 +214,7 @@ class SoundingBody(LinearBody[FieldKeysT]):
     def figures(
         self, part: Part[FieldKeysT], build: BuiltScene, waves: Waveforms
     ) -> Iterator[Figure | FileWriter]:
-        """Return the charts of the part, and functions that write further files."""
+        """Return the figures of the part, and the writers of its additional output files."""
         faces = self._plot_face_displacements(part, build, waves)
         return chain(super().figures(part, build, waves), faces)
 

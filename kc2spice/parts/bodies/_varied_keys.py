@@ -13,13 +13,13 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from kc2spice.core.errors import UsageError, did_you_mean, wrong
+from kc2spice.core.errors import UsageError, did_you_mean, list_candidates, wrong
 from kc2spice.core.key_errors import validate_table
 from kc2spice.core.schemas import find_unit, join_path, list_keys
 from kc2spice.netlist.circuit import Param
-from kc2spice.parts.bodies._linear_keys import LinearKeysT
+from kc2spice.parts.bodies._linear_body_keys import LinearKeysT
 from kc2spice.rom.parametric_models import MAX_PARAMETERS, ParameterAxis
-from kc2spice.scene.model import GovernedScene, Part
+from kc2spice.scene.scene_classes import GovernedScene, Part
 
 RANGES_KEY = "rom.parameters"
 MIN_RELATIVE_WIDTH = 1e-3  # smallest relative width of a range
@@ -95,10 +95,11 @@ def make_varied_key(
     ends: tuple[float, float],
     where: str | None = None,
     from_zero: bool = False,
+    example: str = "[{:g}, {:g}]",
 ) -> VariedKey:
     """Return a varied key with its range, whose ``ends`` may have any order.
 
-    With ``from_zero``, the range may begin at zero.
+    With ``from_zero``, the range may begin at zero. ``example`` is the form of a range in errors.
 
     Raises
     ------
@@ -108,15 +109,14 @@ def make_varied_key(
     signed = low * high > 0 or (from_zero and low == 0)
     if not signed or high - low < MIN_RELATIVE_WIDTH * abs(high) or not low <= value <= high:
         around = sorted((0.9 * value, 1.1 * value))
-        hint = f"write for example  [{around[0]:g}, {around[1]:g}]" if value else None
+        hint = f"write for example  {example.format(*around)}" if value else "vary another key"
         raise wrong(
             where or key,
             "this entry is not a valid range of a parameter",
             got=f"{low:g} to {high:g}",
             expected=(
-                "two different numbers of the same sign, whose range contains the "
-                "value of the part, "
-                f"{value:g}"
+                "two different numbers of the same sign; the value of the part, "
+                f"{value:g}, must be within the range"
             ),
             hint=hint,
         )
@@ -124,7 +124,10 @@ def make_varied_key(
 
 
 def check_parameter_ranges(part: Part[LinearKeysT], scene: GovernedScene) -> Iterator[UsageError]:
-    """Yield the errors of parameter ranges without building a full model."""
+    """Check parameter ranges at all combinations of end values; yield the first error.
+
+    The check does not build a full model.
+    """
     try:
         keys = list_varied_keys(part)
         ranges = {item.key: (item.low, item.high) for item in keys}
@@ -172,18 +175,33 @@ def with_values(part: Part[LinearKeysT], values: Mapping[str, Any]) -> Part[Line
 
 def _split_key(key: str) -> list[str | int]:
     """Split a dotted key, such as ``layers[1].thickness``, into names and indices."""
-    return [int(word) if word.isdigit() else word for word in re.findall(r"\w+", key)]
+    words = re.findall(r"(?<=\[)-?\d+(?=\])|\w+", key)
+    return [int(word) if word.lstrip("-").isdigit() else word for word in words]
 
 
 def _make_non_numeric_key_error(part: Part, key: str, where: str) -> UsageError:
     """Return the error for a ``key`` that is not a numeric key of the part."""
-    known = [join_path(path) for path, _ in list_keys(type(part.keys))]
+    known = {join_path(path): field for path, field in list_keys(type(part.keys))}
     plain = re.sub(r"\[-?\d+\]", "", key)
-    expected = "a number below the part, such as layers[1].thickness or damping.ratio"
+    numeric = list(_list_numeric_keys(part.keys.model_copy(update={"rom": None})))
+    expected = f"one of {list_candidates(key, numeric)}" if numeric else "a part with numeric keys"
+    # a key without the index of a list entry, such as layers.thickness
+    entries = [item for item in numeric if item != key and re.sub(r"\[\d+\]", "", item) == key]
+    near = f"did you mean {entries[0]!r}?" if entries else did_you_mean(key, numeric)
+    advice = near or ("vary one of these keys" if numeric else "fit another part")
+    if (entry := _find_missing_entry(part.keys, key)) is not None:
+        name, count = entry
+        return wrong(
+            where,
+            f"the list {name} of {part.name} has {count} {'entry' if count == 1 else 'entries'}",
+            got=key,
+            expected=f"{name}[0] … {name}[{count - 1}]" if count else "a key of another list",
+            hint=advice,
+        )
     if "material" in plain.split("."):
         return wrong(
             where,
-            "the constants of a material that is stated by name cannot be varied",
+            "a material given only by its name has no constants that can be varied",
             got=key,
             expected=expected,
             hint=(
@@ -196,17 +214,50 @@ def _make_non_numeric_key_error(part: Part, key: str, where: str) -> UsageError:
             f"this key of {part.name} is not a number",
             got=key,
             expected=expected,
-            hint=f"write a number for {key} into the scene first, or vary another key",
+            hint=advice
+            if find_unit(known[plain]) is None or entries
+            else f"write a number for {key} into the scene first, or vary another key",
         )
-    above = key.rpartition(".")[0] + "." if "." in key else ""
-    below = plain.rpartition(".")[0] + "." if "." in plain else ""
-    leaves = [above + name.removeprefix(below) for name in known if name.startswith(below)]
-    near = did_you_mean(key, leaves) or did_you_mean(plain, known)
-    if near and not above:  # a key inside a list entry must contain the index of the entry
-        near = re.sub(r"'(layers|front|back)\.", r"'\1[0].", near)
     return wrong(
-        where, f"{part.name} has no numeric key of this name", got=key, expected=expected, hint=near
+        where,
+        f"{part.name} has no numeric key of this name",
+        got=key,
+        expected=expected,
+        hint=advice,
     )
+
+
+def _list_numeric_keys(value: Any, name: str = "") -> Iterator[str]:
+    """Yield the dotted names of all numbers in a table called ``name``."""
+    if isinstance(value, float):
+        yield name
+    elif isinstance(value, BaseModel):
+        yield from _list_numeric_keys(dict(value), name)
+    elif isinstance(value, Mapping):
+        for key, item in value.items():
+            yield from _list_numeric_keys(item, f"{name}.{key}".removeprefix("."))
+    elif isinstance(value, list | tuple):
+        for k, item in enumerate(value):
+            yield from _list_numeric_keys(item, f"{name}[{k}]")
+
+
+def _find_missing_entry(keys: Any, key: str) -> tuple[str, int] | None:
+    """Return the name and the length of the list that lacks the entry in ``key``.
+
+    The result is None if no index in ``key`` exceeds the length of its list.
+    """
+    path: list[str | int] = []
+    for step in _split_key(key):
+        if isinstance(step, int):
+            if not isinstance(keys, list | tuple):
+                return None
+            if not -len(keys) <= step < len(keys):
+                return join_path(tuple(path)), len(keys)
+            keys = keys[step]
+        else:
+            keys = dict(keys).get(step) if isinstance(keys, BaseModel | Mapping) else None
+        path.append(step)
+    return None
 
 
 def _read_material(part: Part, table: Mapping[str, Any], key: str) -> BaseModel:
@@ -234,7 +285,9 @@ def read_number_key(part: Part, key: str, where: str) -> tuple[float, str]:
             result = result[str(step)]
             if group and isinstance(result, Mapping):
                 result = _read_material(part, result, key)
-        elif isinstance(result, list | tuple) and isinstance(step, int) and step < len(result):
+        elif isinstance(result, list | tuple) and isinstance(step, int):
+            if not -len(result) <= step < len(result):
+                raise _make_non_numeric_key_error(part, key, where)
             result = result[step]
         else:
             raise _make_non_numeric_key_error(part, key, where)

@@ -43,12 +43,12 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.body_keys import BodyMeshKeys, DampingKeys
 from kc2spice.fem.materials import find_material
 from kc2spice.parts.bodies._body_ports import get_wave_name
-from kc2spice.parts.bodies._linear_keys import FieldKeys
+from kc2spice.parts.bodies._linear_body_keys import FieldKeys
 from kc2spice.parts.bodies._meshed_bodies import BondedBody
 from kc2spice.scene.checks import Check, RunEnergyBalance
-from kc2spice.scene.model import BuiltScene, Part, Scene
 from kc2spice.scene.part_records import NeglectedEffect
 from kc2spice.scene.parttype import register_part_type
+from kc2spice.scene.scene_classes import BuiltScene, Part, Scene
 
 # Numbers of elements along and across the beam if ``mesh.refine`` is 1.
 ELEMENTS_ALONG = 20
@@ -65,13 +65,13 @@ MAX_THICKNESS_SHARE = 0.2
 
 
 class BimorphLayer(Section):
-    """Layer of a bimorph, which covers the whole beam."""
+    """Layer of a bimorph; each layer covers the whole beam."""
 
     material: str | dict[str, Any] = Field(
         examples=['"steel"'],
-        description="Material of the layer of the beam: a name, or a table of constants",
+        description="Material of this layer of the beam: a name, or a table of constants",
     )
-    thickness: Thickness = Field(gt=0, description="Thickness of the layer of the beam")
+    thickness: Thickness = Field(gt=0, description="Thickness of this layer of the beam")
 
 
 class BimorphKeys(FieldKeys):
@@ -79,13 +79,13 @@ class BimorphKeys(FieldKeys):
 
     ``support`` is *cantilever* (clamped at x = 0), *clamped* (at both ends), *simply_supported* (on
     knife edges under both ends), *free*, or *quarter*. A *quarter* is a quarter of a plate that is
-    clamped along all edges. The quarter is clamped at x = 0 and y = 0, and its other sides are
-    mirror planes. The pin ``tip`` is the upward displacement of the end face. The pin ``base`` is
-    the upward acceleration of the support. If nothing is joined to ``base``, the netlist instead
-    has a pin ``base`` for the reference of all displacements. ``tip_mass`` is distributed evenly
-    over the end face. ``points`` are additional ports on the centre line of the top face, each
-    stated as a distance from the clamp. For a *quarter*, ``points`` are on the centre line of the
-    whole plate.
+    clamped along all edges. The modelled quarter of the plate is clamped at x = 0 and y = 0, and
+    its other sides are mirror planes. The value of the pin ``tip`` is the upward displacement of
+    the end face. The value of the pin ``base`` is the upward acceleration of the support. If
+    nothing is joined to ``base``, the netlist instead has a pin ``base`` for the reference of all
+    displacements. ``tip_mass`` is distributed evenly over the end face. ``points`` are additional
+    ports on the centre line of the top face, each stated as a distance from the clamp. For a
+    *quarter*, ``points`` are on the edge that is the centre line of the whole plate.
     """
 
     length: Extent = Field(gt=0, description="Free length of the beam, without its clamped ends")
@@ -96,9 +96,10 @@ class BimorphKeys(FieldKeys):
     wiring: Literal["series", "parallel"] | None = Field(
         None,
         description=(
-            "Electrical connection of the ceramic layers of the beam: series (default) "
-            "with poling towards the middle, or parallel, in which two layers are both "
-            "poled downwards"
+            "Electrical connection of the ceramic layers. `series` (default): all layers are poled "
+            "towards the middle of the beam. `parallel`: a positive voltage produces an electric "
+            "field along the poling in the layers above the middle of the beam, and against the "
+            "poling in the layers below. Two parallel layers are therefore both poled downwards"
         ),
     )
     tip_mass: Mass = Field(
@@ -107,8 +108,8 @@ class BimorphKeys(FieldKeys):
     support: Literal["cantilever", "clamped", "simply_supported", "free", "quarter"] = Field(
         "cantilever",
         description=(
-            "Mechanical support of the beam; the value quarter selects one quarter of a "
-            "plate that is clamped along all edges"
+            "Mechanical support of the beam. With `quarter`, the model is not a beam, but one "
+            "quarter of a rectangular plate that is clamped along all edges"
         ),
     )
     points: dict[
@@ -125,8 +126,9 @@ class BimorphKeys(FieldKeys):
         ge=1,
         le=64,
         description=(
-            "Number of surface patches in each row; the patches divide the bottom face "
-            "into equal strips. The ports of the patches are patch1, patch2, …"
+            "Number of surface patches along the length of the beam. The patches divide the "
+            "bottom face into rectangles of equal size; the ports of the patches are patch1, "
+            "patch2, …"
         ),
     )
     rows: Count | None = Field(
@@ -147,7 +149,7 @@ class BimorphKeys(FieldKeys):
             raise make_invalid_value_error(
                 "rows needs the key `patches`",
                 None,
-                hint="add for example  patches = 10  or delete rows",
+                hint="add for example  patches = 10  or delete the key `rows`",
             )
         for name, x in self.points.items():
             if name in ("tip", "base", "anode", "cathode") or name.startswith("patch"):
@@ -191,7 +193,7 @@ def make_bimorph_blocks(
             "wiring",
             "the key `wiring` needs a piezoelectric layer",
             got=beam.wiring,
-            hint='delete wiring, or write  material = "PZT-5A"  for a layer',
+            hint='delete the key `wiring`, or write  material = "PZT-5A"  for a layer',
         )
     length, width, top = beam.length, beam.width, heights[-1]
 
@@ -296,7 +298,7 @@ class Bimorph(BondedBody[BimorphKeys]):
     structure = staticmethod(make_bimorph_blocks)
 
     def describe_support(self, part: Part[BimorphKeys]) -> str:
-        """Return a description of the support for the list of neglected effects."""
+        """Describe how the body is supported, for the list of neglected effects."""
         return f"support is {part.keys.support}, ideal"
 
     def list_neglected_effects(
@@ -324,8 +326,9 @@ class Bimorph(BondedBody[BimorphKeys]):
         """Yield the check that the largest deflection is small, relative to the beam.
 
         The deflection of a radiating face or of a patch is the mean over its area. A free beam has
-        no check, because its displacements include rigid-body motions. A beam with a part of type
-        ``stretch`` has no check of the stretching, which this part includes.
+        no check, because its displacements include rigid-body motions. The deflection of a clamped
+        beam with a connected part of type ``stretch`` is not checked, because this part models the
+        stretching.
         """
         keys, ports = part.keys, self.used_ports(part, build.scene)
         if keys.support == "free" or build.scene.analysis.type == "noise":

@@ -77,16 +77,16 @@ from kc2spice.parts.bodies._mesh_keys import (
 from kc2spice.parts.bodies._meshed_bodies import MeshedBody
 from kc2spice.parts.bodies._neglected_effects import Envelope, estimate_box_envelope
 from kc2spice.rom.linear_model import Port
-from kc2spice.scene.model import BuiltScene, DeclaredScene, GovernedScene, Part, Scene
 from kc2spice.scene.part_records import NeglectedEffect
 from kc2spice.scene.parttype import register_part_type
+from kc2spice.scene.scene_classes import BuiltScene, DeclaredScene, GovernedScene, Part, Scene
 
 Vector: TypeAlias = tuple[float, float, float]
 _MOTION_NAMES = ("x", "y", "z", "rx", "ry", "rz")
 # Radial, circumferential and axial component of the poling vector, keyed by ``direction``.
 _CYLINDRICAL_VECTORS = {"radial": (1.0, 0.0, 0.0), "tangential": (0.0, 1.0, 0.0)}
 # Physical domain of each kind of port.
-# A port on a rigid face is missing, because its domain depends on its motion.
+# The kind ``rigid`` is absent, because the domain of its ports depends on the motion of the face.
 _DOMAINS_OF_KINDS = {"mean": TRANSLATION, "base": ACCELERATION, "face": ACOUSTIC}
 _NEEDS_OF_KINDS = {
     "mean": "needs group or at",
@@ -215,11 +215,11 @@ class PortKeys(Section):
 
 
 class PolingKeys(Section):
-    """Keys of a poling: directions from an axis, or poling vectors in a CSV file.
+    """Keys of a poling: its direction in cylindrical coordinates, or a CSV file.
 
-    The columns of the file are ``element, px, py, pz`` with the element numbers of a mesh file, or
-    ``x, y, z, px, py, pz`` in the unit of the mesh. In a file with points, the point nearest to an
-    element determines its poling.
+    The CSV file contains poling vectors in the columns ``element, px, py, pz`` with the element
+    numbers of a mesh file, or ``x, y, z, px, py, pz`` in the unit of the mesh. In a file with
+    points, the point nearest to an element determines its poling.
     """
 
     direction: Vector | None = Field(
@@ -228,13 +228,15 @@ class PolingKeys(Section):
     axis: Vector = Field(
         (0.0, 0.0, 1.0),
         description=(
-            "Direction of the cylinder axis that defines the components of the key `direction`"
+            "Direction of the axis of the cylindrical coordinates in which the key `direction` "
+            "states the poling direction"
         ),
     )
     through: Point = Field(
         (0.0, 0.0, 0.0),
         description=(
-            "Point on the cylinder axis that defines the components of the key `direction`"
+            "Point on the axis of the cylindrical coordinates in which the key `direction` states "
+            "the poling direction"
         ),
     )
     file: Annotated[str, StringConstraints(min_length=1, max_length=255)] | None = Field(
@@ -249,7 +251,7 @@ class PolingKeys(Section):
     def contradiction(self) -> str:
         """Reason why the poling keys are contradictory; empty for a valid poling."""
         if (self.direction is None) == (self.file is None):
-            return "it needs exactly one of the keys direction and file"
+            return "it needs exactly one of the keys `direction` and `file`"
         if self.file and self.model_fields_set != {"file"}:
             return "axis and through cannot be combined with a CSV file"
         if self.direction and not (any(self.direction) and any(self.axis)):
@@ -310,7 +312,7 @@ class AxesKeys(Section):
                 raise make_invalid_value_error(
                     "cylindrical axes cannot have the key `x`, because their first axis is radial",
                     None,
-                    hint="delete x",
+                    hint="delete the key `x`",
                 )
             return self
         if self.origin is not None:
@@ -350,8 +352,9 @@ class AxesKeys(Section):
 class BodyKeys(MeshKeys):
     """Keys of a piezoelectric or elastic body from a mesh or CAD file.
 
-    The return pin of all electrodes is ``cathode``, otherwise ``gnd``, ``ground`` or the last
-    electrode. Electrodes in the list ``floating`` are equipotential, and their charge is zero.
+    The return pin of all electrodes is the electrode ``cathode``, ``gnd`` or ``ground``, in this
+    order of preference. If no electrode has one of these names, the last electrode is the return
+    pin. Electrodes in the list ``floating`` are equipotential, and their charge is zero.
     """
 
     mesh: Annotated[MeshFile, MESH_FIELD]
@@ -421,7 +424,7 @@ class BodyKeys(MeshKeys):
 
     @model_validator(mode="after")
     def _check_consistency(self, info: ValidationInfo) -> BodyKeys:
-        """Reject contradictory keys, such as poling and axes of the same group."""
+        """Reject contradictory keys, such as ``poling`` and ``axes`` of an element group."""
         stray = set(self.poling) - set(self.materials)
         if stray:
             raise make_invalid_value_error(
@@ -543,8 +546,8 @@ def _read_polings(
     if numbered and keys.size is not None:
         raise wrong(
             f"poling.{numbered[0]}",
-            "a CAD file has no element numbers",
-            hint="write a file with the columns x, y, z, px, py, pz",
+            "the poling file refers to element numbers, but a CAD file has no element numbers",
+            hint="write a poling file with the columns x, y, z, px, py, pz",
         )
     numbers = groups.numbers
     if numbered and keys.split_count:
@@ -613,8 +616,10 @@ def _require_mesh_axis(keys: BodyKeys, about: CylindricalAxes, where: str) -> No
     if keys.axisymmetric and (any(about.axis[:2]) or any(about.point[:2])):
         raise wrong(
             where,
-            "the axis of an axisymmetric mesh must be z through the origin",
-            hint="leave out axis and through, or z and origin",
+            "in an axisymmetric mesh, cylindrical axes must be about the z axis through the origin",
+            hint="delete the keys `axis` and `through`"
+            if where.startswith("poling")
+            else "delete the keys `z` and `origin`",
         )
 
 
@@ -634,7 +639,7 @@ def _make_boundary_conditions(
         elif port.kind == "base":
             base.append((port.ports[0], port.direction))
         elif port.kind == "face":
-            facets = boundary_facets(port, groups, solid)
+            facets = find_boundary_facets(port, groups, solid)
             shapes.append(fe.make_pressure_load(port.ports[0], solid, facets))
         else:
             force = fe.spread_force(
@@ -670,8 +675,8 @@ def _make_rigid_face(port: PortKeys, groups: mesh_file.GroupedMesh, solid: Solid
     return fe.RigidFace(nodes, [*zip(port.ports, moves, strict=True)])
 
 
-def boundary_facets(port: PortKeys, groups: mesh_file.GroupedMesh, solid: Solid) -> np.ndarray:
-    """Return the facets of an acoustic port, all on the surface of the body.
+def find_boundary_facets(port: PortKeys, groups: mesh_file.GroupedMesh, solid: Solid) -> np.ndarray:
+    """Find the boundary facets of an acoustic port; reject facets inside the body.
 
     Raises
     ------
@@ -835,7 +840,7 @@ class Body(MeshedBody[BodyKeys]):
         return 2 if part.keys.axisymmetric else 3
 
     def describe_support(self, part: Part[BodyKeys]) -> str:
-        """Return a description of the support for the list of neglected effects."""
+        """Describe how the body is supported, for the list of neglected effects."""
         groups = [item if isinstance(item, str) else item.group for item in part.keys.fixed]
         return f"{', '.join(groups)} held ideally" if groups else "nothing holds it"
 
@@ -871,7 +876,7 @@ class Body(MeshedBody[BodyKeys]):
 
 
 def _find_poling_paths(part: Part[BodyKeys], scene: DeclaredScene) -> dict[str, Path]:
-    """Return the paths of the poling files, keyed by the key in the scene."""
+    """Return the paths of the poling files, keyed by scene keys ``PART.poling.GROUP``."""
     result = {}
     for group, file in part.keys.poling_files.items():
         where = f"{part.name}.poling.{group}"

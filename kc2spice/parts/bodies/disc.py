@@ -26,7 +26,6 @@ from kc2spice.bodies.solid_models import Block, BondedBlocks, Box, list_outer_fa
 from kc2spice.bodies.undamped_models import FiniteElementModel
 from kc2spice.core.errors import UsageError, wrong
 from kc2spice.core.key_errors import validate_table
-from kc2spice.core.naming import list_names
 from kc2spice.core.quantities import (
     Length,
     Ratio,
@@ -37,10 +36,10 @@ from kc2spice.core.quantities import (
 )
 from kc2spice.fem.body_keys import BodyMeshKeys, DampingKeys
 from kc2spice.fem.materials import find_material
-from kc2spice.parts.bodies._linear_keys import FieldKeys
+from kc2spice.parts.bodies._linear_body_keys import FieldKeys
 from kc2spice.parts.bodies._meshed_bodies import BondedBody
-from kc2spice.scene.model import GovernedScene, Part
 from kc2spice.scene.parttype import register_part_type
+from kc2spice.scene.scene_classes import GovernedScene, Part
 
 # Number of mesh cells along the largest radius or half the height, for ``mesh.refine = 1``.
 _RADIAL_CELLS = 20
@@ -49,7 +48,7 @@ _RADIAL_CELLS = 20
 class FeedbackKeys(Section):
     """Keys of the feedback electrode of a self-oscillating buzzer.
 
-    The feedback electrode is a ring or disc in the top electrode, which drives the input of the
+    The feedback electrode, a ring or disc inside the top electrode, drives the input of the
     oscillator.
 
     In data sheets, the feedback electrode has the shape of a tongue. The model contains a ring of
@@ -157,8 +156,8 @@ class DiscKeys(FieldKeys):
         None,
         gt=0,
         description=(
-            "Diameter of the central patch on which the port `centre` acts; by default the "
-            "thickness of the disc on its axis"
+            "Diameter of the central patch on which the port `centre` acts. Default: a diameter "
+            "equal to the thickness of the disc at its centre"
         ),
     )
     damping: DampingKeys = DampingKeys()
@@ -230,9 +229,20 @@ def _make_blocks(disc: DiscKeys, where: str) -> list[Block]:
     """Return one bonded block for each layer, with its poled material, bottom to top."""
     result = []
     ends = pairwise(accumulate((layer.thickness for layer in disc.layers), initial=0.0))
-    for i, (layer, span) in enumerate(zip(disc.layers, ends, strict=True)):
+    materials = [
+        find_material(layer.material, f"{where}.layers.{i}.material")
+        for i, layer in enumerate(disc.layers)
+    ]
+    if not any(one.is_piezoelectric for one in materials):
+        raise UsageError(
+            "the disc has no piezoelectric layer",
+            where=f"{where}.layers",
+            got=", ".join(f"layers[{i}] ({one.name})" for i, one in enumerate(materials)),
+            expected='a layer of a piezoelectric material, such as "PZT-5A"',
+            hint='write  material = "PZT-5A"  in one of the layers',
+        )
+    for i, (layer, one, span) in enumerate(zip(disc.layers, materials, ends, strict=True)):
         here = f"{where}.layers.{i}"
-        one = find_material(layer.material, f"{here}.material")
         if layer.electrodes is not None and not one.is_piezoelectric:
             raise wrong(
                 here,
@@ -245,15 +255,6 @@ def _make_blocks(disc: DiscKeys, where: str) -> list[Block]:
         quality = layer.quality or one.quality
         poled = replace(poled, name=f"layers[{i}] ({one.name})", quality=quality)
         result.append(Block(((0.0, layer.diameter / 2), span), poled))
-    materials = [block.material for block in result]
-    if not any(one.is_piezoelectric for one in materials):
-        raise UsageError(
-            "the disc has no piezoelectric layer",
-            where=f"{where}.layers",
-            got=", ".join(list_names(materials)),
-            expected='a layer of a piezoelectric material, such as "PZT-5A"',
-            hint='write  material = "PZT-5A"  in one of the layers',
-        )
     return result
 
 
@@ -288,7 +289,7 @@ def _list_electrodes(disc: DiscKeys, pieces: list[Block], where: str) -> list[li
 def _list_electrode_faces(
     disc: DiscKeys, ceramic: list[int], height: float, below: int, where: str
 ) -> list[Box]:
-    """Return the layer faces that form an electrode without a metal layer beside it.
+    """Return the ceramic faces that form an electrode if no metal layer touches them.
 
     The feedback electrode and its gap are cut out of the electrode.
     """
@@ -339,7 +340,7 @@ class Disc(BondedBody[DiscKeys]):
     structure = staticmethod(make_disc_blocks)
 
     def describe_support(self, part: Part[DiscKeys]) -> str:
-        """Return a description of the support for the list of neglected effects."""
+        """Describe how the body is supported, for the list of neglected effects."""
         return f"support is {part.keys.support}, ideal"
 
     def make_models_on_rings(
@@ -367,7 +368,10 @@ class Disc(BondedBody[DiscKeys]):
         return devices
 
     def is_clamped(self, part: Part[DiscKeys]) -> bool:
-        """Return whether the rim is clamped; every support except ``free`` counts."""
+        """Return whether the rim is clamped, so that air cannot flow around the body.
+
+        Every support except ``free`` counts as clamped.
+        """
         return part.keys.support != "free"
 
 

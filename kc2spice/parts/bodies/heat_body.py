@@ -39,7 +39,6 @@ from skfem.mesh import MeshLine
 
 from kc2spice.bodies.heat_field import TemperatureField, recover_temperatures, write_temperatures
 from kc2spice.bodies.heat_model import (
-    MESH_LIMIT_NAME,
     RESISTANCE_PREFIX,
     HeatBoundaryConditions,
     HeatFilm,
@@ -50,6 +49,7 @@ from kc2spice.bodies.heat_model import (
 from kc2spice.core.domains import THERMAL
 from kc2spice.core.errors import SimulationError, UsageError, name_part_in_errors, unknown, wrong
 from kc2spice.core.figure import Curve, Figure, FileWriter, Panel, scale_time_axis
+from kc2spice.core.mesh_error_descriptions import MESH_LIMIT_NAME
 from kc2spice.core.naming import list_names
 from kc2spice.core.progress import StageTimer
 from kc2spice.core.waveforms import Waveforms
@@ -63,7 +63,7 @@ from kc2spice.fem.heat_conduction import (
 )
 from kc2spice.fem.solid import Solid, compute_node_shares
 from kc2spice.fem.thermal_materials import ThermalMaterialTable, find_thermal_material
-from kc2spice.netlist.spelling import LEAK_RATE
+from kc2spice.netlist.number_and_name_spelling import LEAK_RATE
 from kc2spice.parts.bodies._body_figures import draw_edges, element_corners, map_surface
 from kc2spice.parts.bodies._body_model import hash_file
 from kc2spice.parts.bodies._heat_keys import HeatBodyKeys, HeatSourceKeys
@@ -80,21 +80,29 @@ from kc2spice.parts.bodies._meshed_bodies import (
     list_field_instants,
     make_metric_word,
 )
-from kc2spice.rom.heat_over_ranges import HeatOverRanges
-from kc2spice.rom.interface_reduction import reduce_with_interfaces
+from kc2spice.rom.interface_reduction import reduce_with_prescribed_temperatures
 from kc2spice.rom.linear_model import LinearModel, Norm, Port
-from kc2spice.rom.matrix_terms import MatrixTerms
+from kc2spice.rom.parametric_heat_matrix_terms import MatrixTerms
+from kc2spice.rom.parametric_heat_models import HeatOverRanges
 from kc2spice.rom.range_reduction import RangeTask
 from kc2spice.rom.time_domain_errors import ReductionsByOrder
 from kc2spice.scene.checks import Check, Metric, RunEnergyBalance
-from kc2spice.scene.model import BuiltScene, DeclaredScene, GovernedScene, Part, Scene, WiredScene
 from kc2spice.scene.part_records import EquilibriumConditions, NeglectedEffect, PartResult
 from kc2spice.scene.parttype import find_current_into, register_part_type
+from kc2spice.scene.scene_classes import (
+    BuiltScene,
+    DeclaredScene,
+    GovernedScene,
+    Part,
+    Scene,
+    WiredScene,
+)
 from kc2spice.synthesis.heat_netlist import compute_heat_modes
 
 LAYER_ELEMENTS = 4  # number of elements along the thickness of each layer
-# Factor on the tolerance if errors are relative to the largest temperature of each pin.
-# Otherwise, errors are relative to the temperature of the pin at each frequency.
+# Factor on the tolerance of a heat model if the norm ``peak`` replaces the norm ``pointwise``.
+# With ``peak``, errors are relative to the largest temperature of each pin.
+# With ``pointwise``, errors are relative to the temperature of each pin at each frequency.
 PEAK_TOLERANCE_SHARE = 0.01
 IMPEDANCE_FREQUENCIES = 300  # number of time points of a plotted thermal impedance
 # Product of the default band's upper end and the duration of the run.
@@ -244,19 +252,20 @@ def _stack_layers(keys: HeatBodyKeys) -> tuple[HeatGeometry, list[tuple[np.ndarr
             continue
         if not number:
             raise wrong(
-                f"layers[{len(layers)}].resistance",
-                "nothing is below the last layer",
-                hint="delete this key",
+                f"layers[{len(layers) - 1}].resistance",
+                "the last layer has no joint below it, so it cannot have the key `resistance`",
+                hint="delete the key `resistance` of the last layer",
             )
         facet = np.flatnonzero(np.isclose(mesh.p[0, mesh.facets[0]], bottoms[number], rtol=1e-12))
-        # The matrices contain the area of the layer that owns the first element at the joint.
+        # The joint's matrices contain the cross-section of the first of the two adjacent elements.
+        # The factor ``area / layer.area`` replaces this cross-section by the area of the layer.
         area = layers[owner[int(mesh.f2t[0, facet[0]])]].area
         interfaces.append((facet, layer.resistance * area / layer.area))
     if interfaces:
         solid = duplicate_face_nodes(solid, np.concatenate([facets for facets, _ in interfaces]))
     materials, areas = [], np.array([layer.area for layer in layers])
     for number, layer in enumerate(keys.layers, 1):
-        made_of = find_thermal_material(layer.material, f"layers[{number}].material")
+        made_of = find_thermal_material(layer.material, f"layers[{number - 1}].material")
         materials.append(replace(made_of, name=f"layer{number} ({made_of.name})"))
     heights = mesh.p[0, mesh.facets[0]]
     groups = {
@@ -337,7 +346,7 @@ dc = "1 W"
     def equilibrium_conditions(
         self, part: Part[HeatBodyKeys], scene: WiredScene
     ) -> EquilibriumConditions:
-        """Return the paths of steady heat flow from the body's pins.
+        """Return the paths of steady heat flow, which an equilibrium requires.
 
         If the body conducts heat to its surroundings, each path leads to the reference pin, such as
         ``ambient``. Otherwise, a path leads from each further pin to the first pin.
@@ -351,11 +360,11 @@ dc = "1 W"
     def equilibrium_after_build(
         self, part: Part[HeatBodyKeys], build: BuiltScene
     ) -> EquilibriumConditions:
-        """Return the paths of steady heat flow, which do not depend on the built model."""
+        """Return the equilibrium conditions; building the model does not change them."""
         return build.scene.records[part.name].rest
 
-    def get_default_band_end(self, scene: Scene) -> float:
-        """Return the lower limit [Hz] for the upper end of a transient's default band.
+    def get_min_band_end(self, scene: Scene) -> float:
+        """Return the minimum [Hz] of the upper end of a default frequency band.
 
         The upper end is :data:`RUN_POINTS` divided by the duration of the run; a heat body has no
         resonances that could define the band.
@@ -368,14 +377,17 @@ dc = "1 W"
         key: Mapping[str, Any],
         full: Callable[[], LinearModel],
     ) -> tuple[float, float]:
-        """Return ``band``; a default band ends where the mesh becomes too coarse."""
+        """Limit a default band to the frequencies that the mesh resolves.
+
+        A band that the user set is returned unchanged.
+        """
         low, high = band
         if key["limited"]:
             high = min(high, full().facts[MESH_LIMIT_NAME])
         return low, high
 
     def model_key(self, part: Part[HeatBodyKeys], scene: Scene) -> Mapping[str, Any]:
-        """Return the cache key of the reduced model, with a flag for a default band."""
+        """Return the cache key of the model, which states whether the band is a default."""
         chosen = (
             self._find_reduction_settings(part, scene) is None
             and not scene.analysis.is_small_signal
@@ -432,17 +444,17 @@ dc = "1 W"
         tolerance = aims["tolerance"]
 
         def reduce(norm: Norm, share: float) -> LinearModel:
-            """Reduce the heat model with ``share`` of the tolerance, in one error norm.
+            """Reduce the heat model to an error of at most ``share * tolerance``.
 
-            ``share`` is the fraction.
+            The argument ``norm`` defines what the error is relative to.
             """
             changed = {**aims, "norm": norm, "tolerance": tolerance and share * tolerance}
-            return reduce_with_interfaces(model, prescribed_ports, **changed)
+            return reduce_with_prescribed_temperatures(model, prescribed_ports, **changed)
 
         return _reduce_with_peak_fallback(part, aims["norm"], reduce)
 
     def prescribed_ports(self, part: Part[HeatBodyKeys], model: LinearModel) -> list[str]:
-        """Return the ports of isothermal faces and of the fluids behind films."""
+        """Return the ports with prescribed temperatures: isothermal faces and fluids."""
         known = _list_prescribed_names(part)
         return [*filter(known.__contains__, list_names(model.ports))]
 
@@ -451,15 +463,12 @@ dc = "1 W"
 
         Prescribed temperatures and the error norm have the same effect as in :meth:`reduce_body`.
         """
-        from kc2spice.rom.heat_range_reduction import HeatReduction
+        from kc2spice.rom.heat_model_reduction_over_ranges import HeatReduction
 
         reduction = HeatReduction(task.full, task.axes, _list_prescribed_names(part))
 
         def reduce(norm: Norm, share: float) -> HeatOverRanges:
-            """Reduce over the key ranges with ``share`` of the tolerance, in one error norm.
-
-            ``share`` is the fraction.
-            """
+            """Reduce the heat model over ranges to an error of at most ``share * tolerance``."""
             return reduction.reduce(replace(task, norm=norm, tolerance=share * task.tolerance))
 
         return _reduce_with_peak_fallback(part, task.norm, reduce)
@@ -469,8 +478,8 @@ dc = "1 W"
     ) -> LinearModel | None:
         """Build the heat model; recompute thermal resistances if keys vary over ranges.
 
-        With parameter ranges, the model is valid for all values in the ranges, so its thermal
-        resistances are computed again.
+        A model for parameter ranges is valid for all values in the ranges. Its thermal resistances
+        are therefore computed again for the values in the scene.
         """
         model = super().build(part, scene, clock, full)
         if full or model is None or not part.parameter_ranges:
@@ -514,15 +523,16 @@ dc = "1 W"
     ) -> Iterator[Check | RunEnergyBalance]:
         """Yield the checks of the part after a run."""
         yield from super().checks(part, build, waves)
-        yield from check_mesh(part, build)
+        yield from check_mesh(part, build, waves)
 
     def figures(
         self, part: Part[HeatBodyKeys], build: BuiltScene, waves: Waveforms
     ) -> Iterator[Figure | FileWriter]:
-        """Yield the charts of the part, and functions that write further files.
+        """Yield the figures of the part, and the writers of its additional output files.
 
-        The charts show the temperatures, the thermal impedance and the temperature field. The files
-        contain the temperature field at the same instants.
+        The charts show the temperatures, the thermal impedance and the temperature field. The
+        ``.vtu`` files contain the temperature field at the end of the run, and at each time in the
+        key ``fields``.
         """
         yield from _plot_temperatures(part.name, waves)
         yield from _plot_thermal_impedance(part.name, build.model(part, LinearModel))
@@ -560,9 +570,10 @@ dc = "1 W"
                 if flow is None and build.scene.list_joined_pins(part.name, port.terminals[0]):
                     raise wrong(
                         f"{part.name}.fields",
-                        "fields need every heat flow into the body",
-                        got=f"a heat flow into {port.name} without a recorded value",
-                        expected="one source, thermal_resistor or other part at each pin",
+                        "the key `fields` needs the recorded heat flow into each port of the body",
+                        got=f"port {port.name} without a recorded heat flow",
+                        expected="exactly one part, such as a source or a thermal_resistor, "
+                        "joined to each pin of the body",
                     )
                 if flow is not None:
                     flows[port.name] = flow
@@ -590,7 +601,7 @@ dc = "1 W"
 
 
 def _list_prescribed_names(part: Part[HeatBodyKeys]) -> set[str]:
-    """Return the pin names of isothermal faces and of the fluids behind films."""
+    """List pin names of prescribed temperatures: isothermal faces and fluids."""
     return {*part.keys.isothermal, *part.keys.film_pins}
 
 
@@ -600,8 +611,8 @@ def _reduce_with_peak_fallback(
     """Reduce a heat model; if the given error norm fails, use the norm ``peak``.
 
     If the reduction with ``norm`` fails, the norm ``peak`` is used instead. With the norm ``peak``,
-    the error is relative to the largest temperature of each pin. ``reduce(norm, share)`` reduces
-    the model to ``share`` times the tolerance.
+    the error is relative to the largest temperature of each pin. ``reduce(norm, share)`` returns a
+    reduced model whose permitted error is ``share`` times the tolerance.
     """
     try:
         return reduce(norm, 1.0)
@@ -609,8 +620,8 @@ def _reduce_with_peak_fallback(
         if norm == "peak":
             raise
     warnings.warn(
-        f"{part.name}: rounding errors exceed the tolerance at pins with small temperatures; "
-        f"the error estimate is relative to the largest temperature of each pin",
+        f"{part.name}: rounding errors of small temperatures exceed the tolerance, so the error "
+        f"estimate is relative to the largest temperature of each pin",
         stacklevel=3,
     )
     return reduce("peak", PEAK_TOLERANCE_SHARE)

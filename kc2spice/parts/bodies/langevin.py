@@ -40,12 +40,12 @@ from kc2spice.core.quantities import (
 )
 from kc2spice.fem.body_keys import BodyMeshKeys, DampingKeys
 from kc2spice.fem.materials import find_material
-from kc2spice.parts.bodies._linear_keys import FieldKeys
+from kc2spice.parts.bodies._linear_body_keys import FieldKeys
 from kc2spice.parts.bodies._meshed_bodies import BondedBody
 from kc2spice.parts.bodies._neglected_effects import NOT_ESTIMATED_TEXT
-from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.part_records import NeglectedEffect
 from kc2spice.scene.parttype import register_part_type
+from kc2spice.scene.scene_classes import Part, Scene
 
 _RADIAL_CELLS = 8  # number of mesh cells along the largest radius, for ``mesh.refine = 1``
 
@@ -82,7 +82,7 @@ class CylinderKeys(PieceKeys):
 class RingStackKeys(PieceKeys):
     """Keys of a stack of equal ceramic rings with an even number of rings.
 
-    The even number connects both masses to the cathode.
+    The number of rings is even, so that both masses are connected to the cathode.
     """
 
     outer: Width = Field(gt=0, description="Outer diameter of the ceramic rings")
@@ -149,7 +149,10 @@ class BoltKeys(PieceKeys):
 
 
 class LangevinKeys(FieldKeys):
-    """Keys of a bolted transducer; lists ``front`` and ``back`` start at the rings."""
+    """Keys of a bolted transducer; each end mass is a list of cylindrical sections.
+
+    The sections of an end mass are listed from the rings outwards.
+    """
 
     front: tuple[CylinderKeys, ...] = Field(
         examples=['[{ material = "aluminium", diameter = "20 mm", length = "20 mm" }]'],
@@ -305,7 +308,7 @@ stop = "100 kHz"
     structure = staticmethod(make_langevin_blocks)
 
     def describe_support(self, part: Part[LangevinKeys]) -> str:
-        """Return a description of the support for the list of neglected effects."""
+        """Describe how the body is supported, for the list of neglected effects."""
         return f"support is {part.keys.support}, ideal"
 
     def list_neglected_effects(

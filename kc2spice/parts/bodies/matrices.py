@@ -18,10 +18,10 @@ from kc2spice.core.progress import StageTimer
 from kc2spice.core.untrusted_files import locate_file_in_folder
 from kc2spice.parts.bodies._body_model import hash_file
 from kc2spice.parts.bodies._linear_body import LinearBody
-from kc2spice.parts.bodies._linear_keys import LinearKeys
+from kc2spice.parts.bodies._linear_body_keys import LinearKeys
 from kc2spice.rom.linear_model import LinearModel, Port
-from kc2spice.scene.model import DeclaredScene, GovernedScene, Part, Scene
 from kc2spice.scene.parttype import register_part_type
+from kc2spice.scene.scene_classes import DeclaredScene, GovernedScene, Part, Scene
 from kc2spice.scene.settings import FileName
 
 LINE_HEIGHT = 0.02  # smallest height of a mesh in a drawing, divided by its width

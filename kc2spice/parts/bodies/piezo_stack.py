@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 import re
+import warnings
 from collections.abc import Iterator, Mapping
 from functools import partial
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field, ValidationInfo, model_validator
@@ -25,7 +26,7 @@ from kc2spice.parts.bodies._body_model import (
     get_reduction_settings,
 )
 from kc2spice.parts.bodies._body_ports import find_required_ports
-from kc2spice.parts.bodies._linear_keys import FieldKeys
+from kc2spice.parts.bodies._linear_body_keys import FieldKeys
 from kc2spice.parts.bodies._meshed_bodies import MeshedBody
 from kc2spice.parts.bodies._neglected_effects import Envelope, compute_disc_air_mass
 from kc2spice.parts.electronics.netlist import make_driver_table
@@ -33,7 +34,10 @@ from kc2spice.parts.mechanics._contact_keys import ContactKeys
 from kc2spice.parts.mechanics._contact_surfaces import ContactSurface, LargestIndentation, make_pair
 from kc2spice.rom.linear_model import Port
 from kc2spice.scene.checks import Metric
-from kc2spice.scene.model import (
+from kc2spice.scene.part_records import NeglectedEffect, NumericalRequirements
+from kc2spice.scene.parttype import register_part_type
+from kc2spice.scene.plausibility import check_range
+from kc2spice.scene.scene_classes import (
     BuiltScene,
     DeclaredScene,
     GovernedScene,
@@ -42,9 +46,6 @@ from kc2spice.scene.model import (
     Scene,
     WiredScene,
 )
-from kc2spice.scene.part_records import NeglectedEffect, NumericalRequirements
-from kc2spice.scene.parttype import register_part_type
-from kc2spice.scene.plausibility import check_range
 from kc2spice.scene.settings import RomKeys
 from kc2spice.synthesis.mode_cards import COARSE_WEIGHTS, THROWING_WEIGHTS, StepWeights
 
@@ -55,7 +56,7 @@ if TYPE_CHECKING:
     from kc2spice.bodies.contact_pressure import LocalCompliance, PressureBasis
     from kc2spice.bodies.undamped_models import FiniteElementModel
 
-# frequency [Hz] at which the default damping of the paper's chip is a ratio of 1 %
+# Frequency [Hz] at which the chip of Schütz et al. (2021) has a damping ratio of 1 % by default.
 DAMPING_FREQUENCY = 250e3
 # Damping ratio at ``DAMPING_FREQUENCY`` below which the chip rings during the whole kick.
 # While the chip rings, the errors of the time steps add up.
@@ -63,12 +64,15 @@ DAMPING_FREQUENCY = 250e3
 # launch velocity errors of up to 2.6e-4.
 RINGING_DAMPING = 4e-3
 MIN_DAMPING = 2e-4  # reltol is the same for all damping ratios below this value
-# Factor on reltol that makes kicks of 40 to 60 V as accurate as kicks of 100 V.
+# Factor on reltol for kicks of 40 to 60 V. A kick is a voltage pulse that launches the sphere.
+# With LOW_KICK_FACTOR, simulated kicks of 40 to 60 V are as accurate as simulated kicks of 100 V.
 LOW_KICK_FACTOR = 0.03
-# Factor on reltol for a downward kick: the chip leaves the sphere, rings, and strikes the sphere.
+# Factor on reltol for a downward kick.
+# In a downward kick, the chip leaves the sphere, vibrates freely, and strikes the sphere again.
 # The errors of all time steps change the phase of the ringing at the impact.
-# For -100 V, the relative error of the launch velocity is 1.2e-2 at a reltol of 1e-4.
-# The error for -100 V is 6e-4 at a reltol of 1e-6, and 1.1e-4 at a reltol of 1e-7.
+# A reltol of 1e-4 is too large for -100 V: the relative error of the launch velocity is 1.2e-2.
+# For -100 V, a reltol of 1e-6 reduces the relative error of the launch velocity to 6e-4.
+# For -100 V, a reltol of 1e-7 reduces the relative error of the launch velocity to 1.1e-4.
 DOWNWARD_RELTOL_FACTOR = 2e-3
 # ratio of the top face's speed in a downward kick to its speed in an upward kick
 DOWNWARD_SPEED_RATIO = 0.1
@@ -87,11 +91,11 @@ MOUNTING_TEXTS = {  # description of each value of the key ``mounting``
     "glued": "bottom face glued down, u = 0",
     "free": "nothing holds its bottom face",
 }
-PAPER_ORDER = 30  # number of states of the reduced model in the paper
+PAPER_ORDER = 30  # number of unknowns of the reduced model in Schütz et al. (2021)
 # Keys that determine the finite-element model.
 # All other keys, such as ``drive``, only affect the circuit.
 CHIP_KEYS = set(StackKeys.model_fields)
-# A chip counts as the paper's chip for any values of these keys.
+# A chip counts as the chip of Schütz et al. (2021) for any values of these keys.
 KEYS_IGNORED_FOR_PAPER_CHIP = {"mesh", "damping", "mounting", "preload_spring", "layer_thickness"}
 
 
@@ -134,7 +138,11 @@ class KickPulse(Section):
 
 
 class PiezoStackKeys(StackKeys, FieldKeys):
-    """Keys of a piezoelectric stack, with a default drive of its anode."""
+    """Keys of a piezoelectric stack; by default, a voltage pulse drives the anode."""
+
+    unsupported_key_hints: ClassVar[Mapping[str, str]] = {
+        "voltage": "did you mean 'drive.voltage'?"
+    }
 
     electrical: Literal["open", "short", "driven"] = Field(
         "driven",
@@ -166,9 +174,10 @@ class PiezoStackKeys(StackKeys, FieldKeys):
     @model_validator(mode="before")
     @classmethod
     def _set_drive(cls, data: Any, info: ValidationInfo) -> Any:
-        """Add the default kick pulse to a driven stack whose table has no key ``part``.
+        """Set the default drive pulse if the stack's scene table has no key ``part``.
 
-        In a scene with a table ``harmonic``, the chip gets no pulse, because unit loads drive it.
+        A stack that is not driven gets no pulse. In a scene with a table ``harmonic``, the stack
+        gets no pulse, because unit loads drive the stack.
         """
         short = (info.context or {}).get("short", ())
         if not short or "harmonic" in short or data.get("electrical", "driven") != "driven":
@@ -177,7 +186,7 @@ class PiezoStackKeys(StackKeys, FieldKeys):
 
     @model_validator(mode="after")
     def _require_compatible_keys(self) -> PiezoStackKeys:
-        """Reject fields on a coarse mesh, and a driver for an undriven stack."""
+        """Reject the key ``fields`` on a coarse mesh, and ``driver`` for undriven stacks."""
         if self.fields and (self.mesh.order != 1 or self.mesh.layers_per_element != 1):
             raise make_invalid_value_error(
                 (
@@ -239,7 +248,7 @@ class PiezoStack(MeshedBody[PiezoStackKeys]):
         return (*ring_ports, Port("anode", ELECTRICAL.port, pins=("anode", "cathode")))
 
     def used_ports(self, part: Part[PiezoStackKeys], scene: JoinedScene) -> tuple[Port, ...]:
-        """Return the anode port and the ring ports, up to the last ring that is required."""
+        """Return the used ports: anode and rings, up to the last ring that the scene uses."""
         if find_pressure_basis(part, scene) is not None:
             return super().used_ports(part, scene)
         *ring_ports, anode = self.ports(part, scene)
@@ -266,6 +275,12 @@ class PiezoStack(MeshedBody[PiezoStackKeys]):
                 expected=f"before the end of the simulation, {scene.stop_time:g} s",
                 hint=f"lower drive.start below {scene.stop_time:g} s",
             )
+        if drive and keys.electrical != "driven":
+            warnings.warn(
+                f'{name}: the key `drive` has no effect with electrical = "{keys.electrical}": '
+                f'write  {name}.electrical = "driven"',
+                stacklevel=2,
+            )
         reason = "multilayer ceramics are sintered from 0.1 mm to 0.1 m"
         wide = "side" if keys.diameter is None else "diameter"
         yield from check_range(f"{name}.{wide}", 2 * max(keys.half_widths), "m", 1e-4, 0.1, reason)
@@ -281,7 +296,7 @@ class PiezoStack(MeshedBody[PiezoStackKeys]):
     def contact_surface(
         self, part: Part[PiezoStackKeys], scene: GovernedScene, ports: tuple[str, ...] = ()
     ) -> ContactSurface:
-        """Return the surface under a contact: the contact rings or the pressure patch."""
+        """Return the contact surface: a port on each node ring, or one pressure port."""
         if part.keys.poling == "x":
             raise part.wrong(
                 "poling",
@@ -311,7 +326,7 @@ class PiezoStack(MeshedBody[PiezoStackKeys]):
     def numerics(
         self, part: Part[PiezoStackKeys], scene: WiredScene
     ) -> Iterator[NumericalRequirements]:
-        """Yield requirements on time step and tolerances for contacts of the chip.
+        """Yield requirements on time step and tolerances for contacts with a piezo stack.
 
         Ringing of the chip and kicks with a low voltage require tighter tolerances. Ringing
         increases the phase error of the trapezoidal rule. A kick with a low voltage closes fewer
@@ -325,9 +340,10 @@ class PiezoStack(MeshedBody[PiezoStackKeys]):
         close = math.sqrt(min(1.0, max(ratio, MIN_DAMPING) / RINGING_DAMPING))
         speed = _estimate_kick_speed(part, scene)
         if self.weights(part, scene) == COARSE_WEIGHTS and speed is not None:
-            # A part other than a source at the anode can slow down a kick.
-            # With an amplifier of 5 A, for example, the launch velocity is 0.67 m/s.
-            # With the tolerances for 1 m/s, the relative error of the velocity 0.67 m/s is 1.5e-3.
+            # A driver at the anode may slow down a kick, so the tolerances for slow kicks are used.
+            # For example, an amplifier of 5 A reduces the launch velocity to 0.67 m/s.
+            # With the tolerances for kicks of 1 m/s, a launch velocity of 0.67 m/s has a relative
+            # error of 1.5e-3. LOW_KICK_FACTOR therefore tightens the tolerances for slow kicks.
             driven = not scene.list_joined_types(part.name, "anode") <= {"source"}
             close *= min(1.0, LOW_KICK_FACTOR if driven else max(speed**8, LOW_KICK_FACTOR))
         if _moves_down_first(part):
@@ -341,7 +357,9 @@ class PiezoStack(MeshedBody[PiezoStackKeys]):
     def weights(self, part: Part[PiezoStackKeys], scene: DeclaredScene) -> StepWeights:
         """Return the weights of the body's modes in the simulator's time step control.
 
-        After a downward kick, the chip rings until it hits the sphere.
+        A chip that first moves downwards rings until it hits the sphere, and the ringing affects
+        the launch velocity. To resolve the ringing of a chip that first moves downwards, the
+        weights are ``THROWING_WEIGHTS``.
         """
         return THROWING_WEIGHTS if _moves_down_first(part) else super().weights(part, scene)
 
@@ -363,7 +381,7 @@ class PiezoStack(MeshedBody[PiezoStackKeys]):
         yield Shape(0.0, -keys.height / 2, keys.side, keys.height, "ceramic", label, keys.layers)
 
     def headline(self, part: Part[PiezoStackKeys]) -> str:
-        """Return the header line of the chip's library, which names its mounting."""
+        """Return the header line of the library, which states how the stack is mounted."""
         return f"{self.title}; {describe_mounting(part.keys)}"
 
     def material_rating(self, part: Part[PiezoStackKeys]) -> float:
@@ -384,9 +402,9 @@ class PiezoStack(MeshedBody[PiezoStackKeys]):
     def choose_reduction(self, part: Part[PiezoStackKeys], scene: Scene) -> RomKeys:
         """Return the reduction settings that the scene states, or default settings.
 
-        For the chip of the paper, the default is the number of states that the paper states. For
-        other stacks, the default is a tolerance in a band whose upper end is inversely proportional
-        to the height of the stack.
+        For the chip of Schütz et al. (2021), the default is the number of unknowns that these
+        authors use. For other stacks, the default is a tolerance in a band whose upper end is
+        inversely proportional to the height of the stack.
         """
         specified = part.keys.rom or scene.rom
         if not specified.is_default:
@@ -418,7 +436,7 @@ class PiezoStack(MeshedBody[PiezoStackKeys]):
         )
 
     def describe_support(self, part: Part[PiezoStackKeys]) -> str:
-        """Return a description of the support for the list of neglected effects."""
+        """Describe how the body is supported, for the list of neglected effects."""
         return "" if part.keys.mounting == "roller" else describe_mounting(part.keys)
 
     def make_fe_model(self, part: Part[PiezoStackKeys], scene: GovernedScene) -> FiniteElementModel:
@@ -468,7 +486,7 @@ class PiezoStack(MeshedBody[PiezoStackKeys]):
         return result
 
     def indentation_modulus(self, part: Part[PiezoStackKeys]) -> float:
-        """Return the indentation modulus [Pa] of the top cap, otherwise of the ceramic."""
+        """Return the indentation modulus [Pa] of the top surface: a cap or the ceramic."""
         keys, cap = part.keys, part.keys.top_cap
         stated = None if cap is None else cap.material
         top = keys.ceramic if stated is None else find_material(stated, "top_cap.material")
@@ -509,8 +527,8 @@ def _estimate_kick_speed(part: Part[PiezoStackKeys], scene: GovernedScene) -> fl
     """Return the estimated speed [m/s] of the top face in a kick; None without one.
 
     The speed is the free stroke divided by ``4 H / c``, where H is the height of the chip and c is
-    the speed of sound. If the edge time of the pulse is longer than ``4 H / c``, the edge time is
-    the divisor instead.
+    the speed of sound. If the edge time of the pulse is longer than ``4 H / c``, the estimated
+    speed is the free stroke divided by the edge time.
     """
     voltage = find_highest_voltage(part, scene)
     if not voltage:
@@ -549,8 +567,8 @@ def describe_mounting(keys: StackKeys) -> str:
 def find_pressure_basis(part: Part[PiezoStackKeys], scene: DeclaredScene) -> PressureBasis | None:
     """Return basis functions of the contact pressure on the top face, or None.
 
-    Return None if no contact has ``shape = "pressure"``. The basis functions cover the radius of
-    the largest contact ring.
+    Return None if no contact has ``shape = "pressure"``. The basis functions extend from the centre
+    to the radius of the largest contact ring.
     """
     for contact in scene.list_parts_with_schema("contact", ContactKeys):
         if contact.keys.shape == "pressure" and contact.keys.a in (None, part.name):
@@ -563,12 +581,12 @@ def find_pressure_basis(part: Part[PiezoStackKeys], scene: DeclaredScene) -> Pre
 
 
 def compute_ring_radii(keys: StackKeys) -> np.ndarray:
-    """Return the radii [m] of the contact rings; ``ring0``, the centre node, is first."""
+    """Return the radii [m] of the rings of nodes; ``ring0``, the centre, is first."""
     return keys.mesh.ring_spacing * np.arange(keys.mesh.rings + 1)
 
 
 def count_used_rings(part: Part[PiezoStackKeys], scene: JoinedScene) -> int:
-    """Return the number of contact rings that are ports, counted from ``ring0``.
+    """Return the number of rings of nodes that are ports, counted from ``ring0``.
 
     The last counted ring is the outermost ring that another part or a probe uses. If the stack is
     the only part, all rings are ports.
@@ -585,7 +603,7 @@ def count_used_rings(part: Part[PiezoStackKeys], scene: JoinedScene) -> int:
 
 
 def list_ring_names(count: int) -> list[str]:
-    """Return the port names of the ``count`` innermost contact rings."""
+    """Return the port names of the ``count`` innermost rings of nodes."""
     return list(map("ring{}".format, range(count)))
 
 

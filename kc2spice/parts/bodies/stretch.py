@@ -10,12 +10,13 @@ k+1 is ``w' = (15 (w_k+1 - w_k) - (w_k+2 - w_k-1)) / (12 d)``, which is exact fo
 clamp, w is the mirror image of w before the clamp.
 
 The energy of a plate that is clamped along all edges has the same expression; its face is divided
-into rows of patches. For the plate, ``e = int |grad w|^2 dA / (2 width)`` and stiffness = E h width
-/ (length (1 - nu^2)). H. M. Berger, J. Appl. Mech. 22 (1955) 465, derives this expression by
-neglecting the second invariant of the in-plane strains. The square of a mean slope lacks a twelfth
-of the squared differences between rows, so the formula adds this term. At a mirror plane, as at a
-clamp, w continues as its mirror image. A model of a quarter of a plate therefore uses length, width
-and stiffness of the quarter.
+into rows of patches. For the plate, ``e = int |grad w|^2 dA / (2 * width)`` and ``stiffness = E * h
+* width / (length * (1 - nu^2))``. H. M. Berger, J. Appl. Mech. 22 (1955) 465, derives this
+expression by neglecting the second invariant of the in-plane strains. If the slope differs by D
+between adjacent rows, the mean of the squared slope exceeds the square of the mean slope by D^2 /
+12. The elongation e includes the term D^2 / 12. At a mirror plane, as at a clamp, w continues as
+its mirror image. A model of a quarter of a plate therefore uses length, width and stiffness of the
+quarter.
 """
 
 from __future__ import annotations
@@ -31,8 +32,8 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Count, Length, Section, Stiffness, si
 from kc2spice.parts.electrostatics.gap import PatchedPart, list_patch_ports
 from kc2spice.physics import Declaration, displacement
-from kc2spice.scene.model import GovernedScene, Part
 from kc2spice.scene.parttype import register_part_type
+from kc2spice.scene.scene_classes import GovernedScene, Part
 
 
 class StretchKeys(Section):
@@ -63,7 +64,7 @@ class StretchKeys(Section):
         0.0,
         description=(
             "Axial tension of the beam or plate at rest, in addition to the key "
-            "residual_stress of its material"
+            "`residual_stress` of its material"
         ),
     )
     rows: Count = Field(
@@ -108,7 +109,7 @@ class Stretch(PatchedPart[StretchKeys]):
 
 @lru_cache(maxsize=32)
 def _declare_stretching(count: int, rows: int) -> Declaration:
-    """Return the stretching declaration of a beam or plate of ``count`` patches."""
+    """Declare the stretching of a beam or plate of ``count`` patches."""
     along, across = range(1, count // rows + 1), range(1, rows + 1)
 
     def mirror_index(k: int, count: int) -> int:
@@ -117,8 +118,8 @@ def _declare_stretching(count: int, rows: int) -> Declaration:
             return 1 - k
         return 2 * count + 1 - k if k > count else k
 
-    def deflection_symbol(i: int, j: int) -> str:
-        """Return the symbol of a patch's mean deflection, mirrored beyond a clamp."""
+    def get_deflection_symbol(i: int, j: int) -> str:
+        """Return the deflection symbol of a patch, or of its mirror patch beyond a clamp."""
         i, j = mirror_index(i, len(along)), mirror_index(j, rows)
         return f"x{(j - 1) * len(along) + i}"
 
@@ -128,7 +129,7 @@ def _declare_stretching(count: int, rows: int) -> Declaration:
         The slope is multiplied by ``12 d``, where d is the distance of the patches.
         """
         before, low, high, after = (
-            deflection_symbol(i + k * di, j + k * dj) for k in (-1, 0, 1, 2)
+            get_deflection_symbol(i + k * di, j + k * dj) for k in (-1, 0, 1, 2)
         )
         return f"(15*({high} - {low}) - ({after} - {before}))^2"
 
@@ -139,8 +140,8 @@ def _declare_stretching(count: int, rows: int) -> Declaration:
         twists = []
         for i, j in product(along[:-1], across[:-1]):
             twists.append(
-                f"({deflection_symbol(i + 1, j + 1)} - {deflection_symbol(i, j + 1)}"
-                f" - {deflection_symbol(i + 1, j)} + {deflection_symbol(i, j)})^2"
+                f"({get_deflection_symbol(i + 1, j + 1)} - {get_deflection_symbol(i, j + 1)}"
+                f" - {get_deflection_symbol(i + 1, j)} + {get_deflection_symbol(i, j)})^2"
             )
         cx, cy = f"{len(along)}/length/{rows}", f"{rows}*length/width^2/{len(along)}"
         longer += f" + {cy}/288*({' + '.join(crosswise)})"

@@ -20,7 +20,13 @@ class PidKeys(Section):
     The controller drives opposite currents of equal magnitude through both coils.
     """
 
-    setpoint: Length = Field(2.5e-3, description="Set point of the height of the sphere's centre")
+    setpoint: Length = Field(
+        2.5e-3,
+        description=(
+            "Set point of the height of the sphere's centre above the surface on which the sphere "
+            "rests"
+        ),
+    )
     kp: Annotated[float, si("A/m")] = Field(
         5e4,
         ge=0,
@@ -67,8 +73,8 @@ class PidKeys(Section):
     disable_at: tuple[Time, ...] = Field(
         (),
         description=(
-            "Times at which the controller is disabled: one time after each time in "
-            "`enable_at` except the last"
+            "Times at which the controller is disabled, one between each two consecutive times in "
+            "`enable_at`; a further time after the last one is optional"
         ),
     )
     of: str | None = Field(

@@ -15,12 +15,14 @@ from typing import Literal, cast
 
 from pydantic import Field
 
+from kc2spice.core.constitutive_laws import MissingEquations
 from kc2spice.core.errors import UsageError
-from kc2spice.core.laws import MissingEquations
 from kc2spice.core.quantities import Section, Time
 from kc2spice.core.si_prefix_format import format_quantity
 from kc2spice.netlist.circuit import Element, Item
-from kc2spice.scene.model import (
+from kc2spice.scene.part_records import PartResult, SampledSource
+from kc2spice.scene.parttype import register_part_type
+from kc2spice.scene.scene_classes import (
     BuiltScene,
     GovernedScene,
     JoinedScene,
@@ -30,8 +32,6 @@ from kc2spice.scene.model import (
     Terminal,
     WiredScene,
 )
-from kc2spice.scene.part_records import PartResult, SampledSource
-from kc2spice.scene.parttype import register_part_type
 from kc2spice.scene.settings import FileName
 
 Function = Callable[[float, Mapping[str, float]], float]
@@ -44,7 +44,9 @@ class ControllerKeys(Section):
     the pin ``out``. Each output value takes effect at a time ``delay`` after its sample.
     """
 
-    kind: Literal["python"] = Field("python", description="Kind of controller: a Python function")
+    kind: Literal["python"] = Field(
+        "python", description="Kind of controller; the only kind is `python`, a Python function"
+    )
     file: FileName | None = Field(
         None,
         description=(
@@ -156,7 +158,7 @@ wiring = "parallel"
         yield part.name.lower(), "held"
 
     def law(self, part: Part[ControllerKeys], build: BuiltScene) -> MissingEquations:
-        """Return the reason why the part has no model equations."""
+        """Return no law, but the reason why the part has no model equations."""
         return MissingEquations("its equations are a Python function")
 
     def vectors(self, part: Part[ControllerKeys], build: BuiltScene) -> Mapping[str, PartResult]:

@@ -1,4 +1,7 @@
-"""PID controller of a sphere's height (paper 2.4), ideal or with op-amps."""
+"""PID controller of a sphere's height, ideal or with op-amps.
+
+Source: section 2.4 of Schütz, Maeter and Bechtold, Actuators 10 (2021) 279.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,7 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from kc2spice.core import laws
+from kc2spice.core import constitutive_laws as laws
 from kc2spice.core.domains import DISPLACEMENT
 from kc2spice.core.errors import UsageError
 from kc2spice.core.magnets import MagnetostaticTable
@@ -15,17 +18,22 @@ from kc2spice.core.naming import list_names
 from kc2spice.core.quantities import Section
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Param, make_positive_parameter
-from kc2spice.netlist.library import Header, Subcircuit
+from kc2spice.netlist.subcircuit_library import Header, Subcircuit
 from kc2spice.netlist.transforms import merge_helpers
 from kc2spice.parts.control._pid_keys import MAX_SATURATED_SHARE, PidKeys
-from kc2spice.parts.electronics._template_parts import GAIN_BANDWIDTH, make_opamp_subcircuit
+from kc2spice.parts.electronics._parts_with_netlist_template import (
+    GAIN_BANDWIDTH,
+    make_opamp_subcircuit,
+)
 from kc2spice.parts.magnetics.ring_magnet_coils import RingMagnetCoilsKeys, get_result_prefix
 from kc2spice.parts.mechanics import sphere
 from kc2spice.physics.declaration import Branch, Declaration, displacement, measured, voltage
 from kc2spice.physics.law import DeclaredLaw
 from kc2spice.physics.part import make_declared_subcircuit
 from kc2spice.scene.checks import Check, Metric
-from kc2spice.scene.model import (
+from kc2spice.scene.part_records import PartResult
+from kc2spice.scene.parttype import register_part_type
+from kc2spice.scene.scene_classes import (
     BuiltScene,
     DeclaredScene,
     GovernedScene,
@@ -35,12 +43,12 @@ from kc2spice.scene.model import (
     Scene,
     Terminal,
 )
-from kc2spice.scene.part_records import PartResult
-from kc2spice.scene.parttype import register_part_type
-from kc2spice.synthesis.header import render_library
+from kc2spice.synthesis.library_headers import render_library
 
-SENSOR_GAIN = 2e3  # sensor gain [V/m]; the sensor voltage is 5 V at the paper's set point
-# Ohm; the voltage of the resistor is 10 V at the paper's current limit of 0.1 A.
+# Sensor gain [V/m]; the sensor voltage is 5 V at the set point of Schütz et al. (2021).
+SENSOR_GAIN = 2e3
+# Resistance [Ohm] of the current-sensing resistor. The largest current of Schütz et al. (2021),
+# 0.1 A, causes a voltage of 10 V across this resistor.
 SENSE_RESISTANCE = 100.0
 # Largest command voltage [V] of the output stage, far below the supply voltage of the amplifiers.
 MAX_COMMAND = 10.0
@@ -50,7 +58,8 @@ ENABLE_EDGE = 1e-8  # s, rise and fall time of the enable signal
 DISCHARGE_TIME = 1e-6  # s, time constant of the integral's decay in a disabled controller
 
 
-# Parameters of the netlist for gains: required nonzero gain, parameter name, unit, description.
+# Netlist parameters for the gains of a controller. Each row contains a gain, and the name, unit and
+# description of a parameter that exists only if this gain is not zero.
 # The circuit has no amplifier stage for a gain of zero, so a zero gain is not a parameter.
 GAIN_PARAMETERS = (
     ("kp", "kp", "A/m", "proportional gain, above zero"),
@@ -76,10 +85,11 @@ def declare_control(control: PidKeys, *, output: bool = True) -> Declaration:
 
     The output current is ``i = clip(kp e + ki integral(e) + kd de/dt / (1 + rolloff s),
     +-current_limit)`` between ``drive`` and ``sense``, where ``e = setpoint - y`` is a sensor
-    voltage. Without ``output``, the output is the voltage at ``command``: 100 V for each ampere.
-    The integral is constant while the current is at its limit. The integral and the current are
-    zero until the voltage at ``enable`` rises to 1 V. If a gain is zero, its term and its parameter
-    are left out.
+    voltage. If ``output`` is false, the controller has no output current. Without an output
+    current, the voltage at the pin ``command`` represents the computed current ``i``: 100 V stand
+    for 1 A. The integral is constant while the current is at its limit. The integral and the
+    current are zero until the voltage at ``enable`` rises to 1 V. If a gain is zero, its term and
+    its parameter are left out.
     """
     limited = "demand/current_limit"
     within = f"(1 - above({limited} - 1) - above(-{limited} - 1))"
@@ -248,13 +258,17 @@ class Pid(PartType[PidKeys]):
             )
         times, states = zip(*keys.switching_times, strict=True)
         if min(times) < 0 or states != ((1.0, 0.0) * len(states))[: len(states)]:
-            hint = "delete disable_at" if keys.disable_at else "write  enable_at = 0"
+            also = "  and delete the key `disable_at`" if keys.disable_at else ""
             yield part.wrong(
                 "enable_at",
-                "enable and disable times do not alternate",
-                got=f"{keys.enable_at}, disabled at {keys.disable_at}",
-                expected="an enable time, then a disable time, and so on, all from 0 on",
-                hint=hint,
+                "an enable or disable time is negative"
+                if min(times) < 0
+                else "the enable and disable times do not alternate",
+                got=f"enabled at {keys.enable_at}, disabled at {keys.disable_at}",
+                expected="times from 0 on"
+                if min(times) < 0
+                else "first an enable time, then alternately a disable time and an enable time",
+                hint=f"write  enable_at = 0{also}",
             )
         if scene.analysis.type == "transient" and times[0] >= scene.stop_time:
             yield part.wrong(
@@ -262,7 +276,7 @@ class Pid(PartType[PidKeys]):
                 "the controller starts after the simulation ends",
                 got=f"{times[0]:g} s",
                 expected=f"before the end of the simulation, {scene.stop_time:g} s",
-                hint=f"lower enable_at below {scene.stop_time:g} s",
+                hint=f"lower `enable_at` below {scene.stop_time:g} s",
             )
 
     def subcircuits(
@@ -353,7 +367,7 @@ def _find_driven_coils(part: Part[PidKeys], scene: DeclaredScene) -> Part[RingMa
 
 
 def _drives_external_circuit(part: Part[PidKeys], scene: DeclaredScene) -> bool:
-    """Return whether the output ``command`` controls another circuit for the coils."""
+    """Return whether the PID controller drives an external circuit for the coils."""
     joined = scene.is_target(part.name, "command") or "command" in part.pins
     return joined or bool(_find_driven_coils(part, scene).keys.driver)
 

@@ -10,21 +10,23 @@ from collections.abc import Iterator, Mapping
 
 from pydantic import Field
 
-from kc2spice.core import laws
+from kc2spice.core import constitutive_laws as laws
 from kc2spice.core.domains import DISPLACEMENT, TRANSLATION
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import BOLTZMANN, DEFAULT_TEMPERATURE, Frequency, Length, Section
 from kc2spice.core.si_prefix_format import format_quantity
 from kc2spice.netlist.circuit import Element, Item, Param
-from kc2spice.netlist.library import Header, Subcircuit
+from kc2spice.netlist.number_and_name_spelling import format_number
 from kc2spice.netlist.shared_cards import attach_comments
-from kc2spice.netlist.spelling import format_number
+from kc2spice.netlist.subcircuit_library import Header, Subcircuit
 from kc2spice.parts.mechanics import sphere
 from kc2spice.physics.declaration import Declaration, displacement, measured
 from kc2spice.physics.declaration_cards import get_state_node
 from kc2spice.physics.law import DeclaredLaw
 from kc2spice.physics.part import make_declared_subcircuit
-from kc2spice.scene.model import (
+from kc2spice.scene.part_records import PartResult
+from kc2spice.scene.parttype import register_part_type
+from kc2spice.scene.scene_classes import (
     GROUND,
     BuiltScene,
     GovernedScene,
@@ -34,8 +36,6 @@ from kc2spice.scene.model import (
     Scene,
     Terminal,
 )
-from kc2spice.scene.part_records import PartResult
-from kc2spice.scene.parttype import register_part_type
 
 VOLTS_PER_METRE = (
     f"{DISPLACEMENT.pin_value_per_si_unit:g}"  # V/m, voltage at a pin that represents one metre
@@ -124,7 +124,7 @@ dc = "1 um"
                 "the noise of a sensor does not apply to this analysis",
                 got=scene.analysis.type,
                 expected=f"{' or '.join(kinds)}, or none",
-                hint="delete noise",
+                hint="delete the key `noise`",
             )
 
     def subcircuits(
@@ -157,7 +157,7 @@ dc = "1 um"
         )
 
     def settable_quantities(self, part: Part[SensorKeys], build: BuiltScene) -> Mapping[str, float]:
-        """Return the initial state voltage, which represents the height of the sphere."""
+        """Return the settable initial voltage of the sensor's state: the sphere's height."""
         start = sphere.find_initial_height(part, "of", build.scene)
         if start is None:
             return {}
@@ -172,7 +172,7 @@ dc = "1 um"
     def law(
         self, part: Part[SensorKeys], build: BuiltScene
     ) -> laws.Equations | laws.MissingEquations:
-        """Return the part's model equations, which are solved without a simulator."""
+        """Return the part's law: its model equations, solved by kc2spice without ngspice."""
         if part.keys.noise:
             return laws.MissingEquations("its noise is a random waveform of the simulator")
         n, d = part.name, declare_sensor(part.keys)

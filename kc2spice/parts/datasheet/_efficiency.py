@@ -7,7 +7,7 @@ import numpy as np
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts.acoustics.listener import ListenerKeys
 from kc2spice.parts.acoustics.radiation import RadiationKeys
-from kc2spice.scene.model import Part, Scene
+from kc2spice.scene.scene_classes import Part, Scene
 
 STEADY_SHARE = 0.5  # last fraction of a transient that counts as periodic
 

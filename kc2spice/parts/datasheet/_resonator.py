@@ -7,8 +7,8 @@ The admittance is
     Y(s) = s c0 + sum_n s cm_n / (1 + s rm_n cm_n + s^2 lm_n cm_n)
 
 (K. S. Van Dyke, Proc. IRE 16 (1928) 742; IEEE Std 177-1966). Each part type defines its keys as
-functions of the circuit elements. The module :mod:`._stated_values` computes the elements that
-match the keys.
+functions of the circuit elements. The module :mod:`._stated_values` computes circuit elements whose
+properties equal the data-sheet values in the keys.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from typing import Any, ClassVar
 import numpy as np
 from pydantic import Field
 
-from kc2spice.core import laws
+from kc2spice.core import constitutive_laws as laws
 from kc2spice.core.domains import HEAT, HEAT_PINS
 from kc2spice.core.figure import Figure
 from kc2spice.core.naming import list_names
@@ -31,14 +31,15 @@ from kc2spice.core.quantities import Section, Voltage
 from kc2spice.core.untrusted_files import make_identifier
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Circuit, Element, Item, Param, Parameters, Pin
-from kc2spice.netlist.library import Header, Subcircuit
-from kc2spice.netlist.prefixes import abbreviate_number
+from kc2spice.netlist.number_and_name_spelling import LEAK_RATE, format_comment
+from kc2spice.netlist.scale_factors import abbreviate_number
 from kc2spice.netlist.shared_cards import attach_comments
-from kc2spice.netlist.spelling import LEAK_RATE, format_comment
+from kc2spice.netlist.subcircuit_library import Header, Subcircuit
 from kc2spice.parts.datasheet._stated_values import Relation
 from kc2spice.physics.conductors import HEAT_TERMINALS, is_heated
 from kc2spice.physics.loss_heat import add_loss_heat, list_heat_vectors
-from kc2spice.scene.model import (
+from kc2spice.scene.part_records import EquilibriumConditions, NeglectedEffect, PartResult
+from kc2spice.scene.scene_classes import (
     BuiltScene,
     GovernedScene,
     JoinedScene,
@@ -49,7 +50,6 @@ from kc2spice.scene.model import (
     Terminal,
     WiredScene,
 )
-from kc2spice.scene.part_records import EquilibriumConditions, NeglectedEffect, PartResult
 from kc2spice.scene.settings import PartNumber
 from kc2spice.synthesis.heat_sources import (
     HEAT_PIN_ROWS,
@@ -62,7 +62,7 @@ TWO_PI = 2 * math.pi
 
 
 class NumberedKeys(Section):
-    """Base class for the keys of parts with a part number."""
+    """Base class for data-sheet keys, with the key ``number`` for the part number."""
 
     number: PartNumber | None = Field(
         None,
@@ -117,9 +117,10 @@ class Resonator:
     def fp(self) -> tuple[float, ...]:
         """Antiresonance frequencies [Hz] of the circuit without losses.
 
-        The frequencies have the order of the series resonance frequencies ``fs``. The unknowns are
-        the charges of the branches. The squared angular antiresonance frequencies are the
-        eigenvalues of ``diag(w^2) + g g' / c0`` with ``w_n = 2 pi fs_n`` and ``g_n = lm_n^(-1/2)``.
+        The k-th lowest antiresonance frequency has the same index in the result as the k-th lowest
+        series resonance frequency in ``fs``. The unknowns are the charges of the branches. The
+        squared angular antiresonance frequencies are the eigenvalues of ``diag(w^2) + g g' / c0``
+        with ``w_n = 2 pi fs_n`` and ``g_n = lm_n^(-1/2)``.
         """
         w, g = TWO_PI * np.array(self.fs), 1 / np.sqrt(self.lm)
         squares = np.linalg.eigvalsh(np.diag(w**2) + np.outer(g, g) / self.c0)
@@ -219,7 +220,10 @@ class ResonatorPart(NumberedPart[KeysT]):
         )
 
     def equilibrium_conditions(self, part: Part[KeysT], scene: WiredScene) -> EquilibriumConditions:
-        """Return the paths of steady flow between the pins, except the pin ``heat``."""
+        """Return the paths of steady flow, which an equilibrium requires.
+
+        Paths to the pin ``heat`` are removed.
+        """
         paths = super().equilibrium_conditions(part, scene).paths
         return EquilibriumConditions(tuple(path for path in paths if HEAT not in path))
 
@@ -227,7 +231,7 @@ class ResonatorPart(NumberedPart[KeysT]):
         self, part: Part[KeysT], build: BuiltScene, header: Header
     ) -> tuple[Subcircuit, ...]:
         """Return the subcircuit of the part, as a tuple of length 1."""
-        from kc2spice.synthesis.header import (
+        from kc2spice.synthesis.library_headers import (
             format_parameter_defaults,
             write_part_header,
         )  # loads slowly
@@ -271,7 +275,7 @@ class ResonatorPart(NumberedPart[KeysT]):
         return result
 
     def law(self, part: Part[KeysT], build: BuiltScene) -> laws.Equations:
-        """Return the part's model equations, which are solved without a simulator."""
+        """Return the part's law: its model equations, solved by kc2spice without ngspice."""
         from kc2spice.rom.linear_model import LinearModel, Port  # loads slowly
 
         circuit, n, (plus, minus) = self.circuit(part, build.scene), part.name, self.ends
@@ -300,18 +304,19 @@ class ResonatorPart(NumberedPart[KeysT]):
         """Return the metrics of the part, keyed by name."""
         from kc2spice.parts.bodies._linear_body import compute_impedance, compute_impedance_metrics
 
-        z = compute_impedance(part, waves)
-        return {} if z is None else compute_impedance_metrics(waves["frequency"].real, z)
+        response = compute_impedance(part, waves)
+        return {} if response is None else compute_impedance_metrics(*response)
 
     def figures(self, part: Part[KeysT], build: BuiltScene, waves: Waveforms) -> Iterator[Figure]:
-        """Yield the charts of the part for the report."""
+        """Yield the figures of the part for the report."""
         from kc2spice.parts.bodies._body_figures import IMPEDANCE_CAPTION, plot_impedances
         from kc2spice.parts.bodies._linear_body import compute_impedance
 
-        z = compute_impedance(part, waves)
-        if z is not None:
+        response = compute_impedance(part, waves)
+        if response is not None:
+            frequency, z = response
             how = f"as the circuit shows it at {part.name}{IMPEDANCE_CAPTION}"
-            yield plot_impedances(part.name, waves["frequency"].real, {"": z}, how)
+            yield plot_impedances(part.name, frequency, {"": z}, how)
 
     def notes(self, part: Part[KeysT], scene: Scene) -> Iterator[str | NeglectedEffect]:
         """Yield the assumptions of the model and the effects that it neglects."""
@@ -338,7 +343,7 @@ def make_unknowns_relation(value: Callable[[Resonator], float]) -> Relation:
 
 
 def _list_cards(content: ResonatorNetlist, plus: str, minus: str) -> Iterator[Item]:
-    """Yield the netlist cards of the circuit, with a leak for floating nets.
+    """Yield the cards of the resonator and of a leakage conductance across its pins.
 
     The leakage current is proportional to the stored charge. Therefore, the sum of floating charges
     is conserved.

@@ -21,7 +21,8 @@ import numpy as np
 from kc2spice.core.errors import MAX_CANDIDATES, UsageError
 
 VALUE_ROUNDING = 0.005  # largest relative rounding error of a value with three significant digits
-# Step of the central differences of logarithms; the results have errors of 1e-10 and 1e-11.
+# Step of the central differences of logarithms.
+# The central differences have truncation errors of 1e-10 and rounding errors of 1e-11.
 DIFFERENCE_STEP = 1e-5
 # An unknown counts as undetermined if its relative singular value is below this tolerance.
 # The tolerance is far above the errors of the central differences.
@@ -41,13 +42,14 @@ Relation = Callable[[np.ndarray], float]
 
 @dataclass(frozen=True, eq=False)
 class StatedValues:
-    """Values that a data sheet states, each also as a function of the unknowns.
+    """Values stated in a data sheet, as equations for the unknown circuit values.
 
     ``stated`` contains the stated values, keyed by name. ``relations`` contains a function for each
     value that a data sheet can state. The argument of each function is the vector of unknowns in SI
     units. ``start`` contains the unknowns at the start of the iteration. ``units`` contains the
     units of the values. ``tolerance`` contains relative tolerances of values. For values without a
-    tolerance, ``rounding`` contains the relative rounding error.
+    tolerance, ``rounding`` contains the relative rounding error. If values contradict each other,
+    the error names a value of ``suspects`` first.
     """
 
     part: str
@@ -57,6 +59,7 @@ class StatedValues:
     units: Mapping[str, str]
     tolerance: Mapping[str, float]
     rounding: Mapping[str, float]
+    suspects: frozenset[str] = frozenset()
 
     def solve(self) -> np.ndarray:
         """Compute the unknowns in SI units from the values that the data sheet states.
@@ -84,7 +87,7 @@ class StatedValues:
     # --- equations --------------------------------------------------------------------------------
 
     def _compute_logarithm(self, key: str, x: np.ndarray) -> float:
-        """Compute the logarithm of one data-sheet value from the unknowns.
+        """Compute the logarithm of a data-sheet value from the unknowns of the circuit.
 
         ``x`` contains the logarithms of the unknowns.
         """
@@ -184,7 +187,7 @@ class StatedValues:
         )
 
     def _require_solution(self, x: np.ndarray) -> None:
-        """Raise an error if no circuit matches stated values without redundancy."""
+        """Raise an error if just enough values are stated, but no circuit is a solution."""
         if len(self.stated) > x.size:
             return
         misses = {key: abs(self._compute_residual(key, x)) for key in self.stated}
@@ -202,20 +205,20 @@ class StatedValues:
         )
         stated = (self.format_stated_value(key, self.stated[key]) for key in (first, second))
         raise UsageError(
-            "no circuit has these values",
+            "no circuit has all stated values; a fitted circuit deviates most from these two",
             where=f"{self.part}.{first}",
             got=" and ".join(stated),
-            expected=f"values of one circuit, such as {' and '.join(nearest)}",
+            expected=f"values that one circuit can have, such as {' and '.join(nearest)}",
             hint=f"check {first} and {second}, and their units",
         )
 
     def _require_agreement(self, x: np.ndarray) -> None:
         """Raise an error if a redundant value contradicts the other values.
 
-        For each redundant value, the other values imply a value. ``S_k`` is the derivative of the
-        implied value with respect to the other value k. The tolerances are t for the redundant
-        value and ``t_k`` for the value k. The implied value may differ from the stated value by ``t
-        + sum |S_k| t_k``.
+        Each redundant value is compared with an implied value, which follows from all other stated
+        values. ``S_k`` is the derivative of the implied value with respect to the other value k.
+        The tolerances are t for the redundant value and ``t_k`` for the value k. The implied value
+        may differ from the stated value by ``t + sum |S_k| t_k``.
         """
         redundant = {}
         for key in self.stated if len(self.stated) > x.size else ():
@@ -224,10 +227,28 @@ class StatedValues:
                 redundant[key] = others._compute_sensitivities(key, x)
         if not any(self._is_contradicted(key, shares, x) for key, shares in redundant.items()):
             return
-        key = max(redundant, key=self._compute_deviation)
-        shares = redundant[key]
+        # without some values, only a circuit with absurd other values is a solution
+        possible = {
+            key: shares for key, shares in redundant.items() if self._has_implied_value(key)
+        }
+        suspects = {key for key in possible if key.partition("[")[0] in self.suspects}
+        key = max(suspects or possible or redundant, key=self._compute_deviation)
+        shares = {name: share for name, share in redundant[key].items() if name in possible}
+        shares = shares or redundant[key]
         other = max(shares, key=lambda name: abs(shares[name]) * self.get_log_tolerance(name))
         raise self._make_contradiction_error(key, other)
+
+    def _has_implied_value(self, key: str) -> bool:
+        """Return whether the other stated values are the values of a realistic circuit."""
+        others = self._drop_value(key)
+        logarithms = others._fitted_logarithms
+        value = math.exp(others._compute_logarithm(key, logarithms))
+        misfits = (others._is_contradicted_at(name, logarithms) for name in others.stated)
+        return SMALLEST_VALUE < value < 1 / SMALLEST_VALUE and not any(misfits)
+
+    def _is_contradicted_at(self, key: str, x: np.ndarray) -> bool:
+        """Return whether a stated value differs from the value of a circuit."""
+        return abs(self._compute_residual(key, x)) > self.get_log_tolerance(key)
 
     def _is_contradicted(self, key: str, shares: Mapping[str, float], x: np.ndarray) -> bool:
         """Return whether one stated value contradicts all the others together."""
@@ -266,12 +287,12 @@ class StatedValues:
                     "these values fit more than one circuit",
                     where=self.part,
                     got=", ".join(self.stated),
-                    expected=f"one more value: the circuits have {' and '.join(values)}",
+                    expected=f"one more value that selects a circuit: {' or '.join(values)}",
                     hint=f"add {key}",
                 )
 
     def _compare_circuits(self, key: str, x: np.ndarray, y: np.ndarray) -> float:
-        """Return the log ratio of one data-sheet value between two circuits."""
+        """Compare two circuits by the logarithm of the ratio of one data-sheet value."""
         return self._compute_logarithm(key, x) - self._compute_logarithm(key, y)
 
     def _compute_sensitivities(self, key: str, x: np.ndarray) -> dict[str, float]:
@@ -297,14 +318,19 @@ class StatedValues:
             for name, rest in implied.items()
         }
         redundant = min(changes, key=changes.__getitem__)
+        hint = f"delete {redundant}, which follows from the other values"
+        if key.partition("[")[0] in self.suspects:
+            _, _, value = texts[key].partition(" = ")
+            quoted = f'"{value}"' if " " in value else value  # a value with a unit is a string
+            hint = f"write {key} = {quoted}, or delete {key}"
         stated = [self.format_stated_value(name, self.stated[name]) for name in (key, other)]
         return UsageError(
             f"{key} contradicts {other}",
             where=f"{self.part}.{key}",
             got=" and ".join(stated),
-            expected=f"{texts[key]}, which follows from {other} and the other values, or "
-            f"{texts[other]}, which follows from {key} and the other values",
-            hint=f"delete {redundant}, which follows from the other values",
+            expected=f"{texts[key]}, as computed from {other} and the other values; or "
+            f"{texts[other]}, as computed from {key} and the other values",
+            hint=hint,
         )
 
 

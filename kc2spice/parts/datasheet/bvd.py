@@ -22,7 +22,7 @@ from kc2spice.core.quantities import (
     make_invalid_value_error,
 )
 from kc2spice.netlist.circuit import Param, make_positive_parameter
-from kc2spice.netlist.spelling import round_to_digits
+from kc2spice.netlist.number_and_name_spelling import round_to_digits
 from kc2spice.parts.datasheet._resonator import (
     TWO_PI,
     RatedKeys,
@@ -34,8 +34,8 @@ from kc2spice.parts.datasheet._resonator import (
     write_tolerance_note,
 )
 from kc2spice.parts.datasheet._stated_values import Relation, StatedValues
-from kc2spice.scene.model import GovernedScene, Part
 from kc2spice.scene.parttype import register_part_type
+from kc2spice.scene.scene_classes import GovernedScene, Part
 
 MAX_MODES = 8
 CAPACITANCE_FREQUENCY = 1e3  # Hz, at which data sheets usually state capacitances
@@ -54,7 +54,7 @@ START_CAPACITANCE = 1e-9
 def _convert_to_sequence(value: object) -> object:
     """Return a single value as a tuple; return a list unchanged."""
     if isinstance(value, (list, tuple)):
-        if value == []:  # the default is an empty tuple
+        if value == []:  # the user wrote []; the default of a missing key is an empty tuple
             raise make_invalid_value_error(
                 "the list is empty",
                 "a value, or a list with one value for each mode",
@@ -129,8 +129,8 @@ class BvdKeys(RatedKeys):
     tolerance: dict[str, Annotated[Ratio, Field(gt=0, lt=1)]] = Field(
         {},
         description=(
-            "Relative tolerance of each data-sheet value, under the key of the value, such "
-            "as c_low = '30 %'"
+            "Table of relative tolerances of data-sheet values; each entry has the same key as its "
+            "value, such as tolerance = { c_low = '30 %' }"
         ),
     )
 
@@ -221,6 +221,7 @@ stop = "10 kHz"
             VALUE_UNITS_OF_SHEET,
             {label: value for label, value in tolerance.items() if value is not None},
             {label: FREQUENCY_ROUNDING for label in stated if label[:2] in ("fs", "fp")},
+            part.overridden_keys,
         )
         return Resonator.from_unknowns(values.solve())
 
@@ -236,9 +237,14 @@ stop = "10 kHz"
                 "the lists of modes differ in length"
                 if short
                 else "the resonator has too many modes",
-                got=", ".join(f"{key} of {count}" for key, count in counts.items()),
-                expected=f"one entry for each of {most} modes" if short else f"at most {MAX_MODES}",
-                hint="state each value for every mode, or delete the list",
+                got="numbers of values: "
+                + ", ".join(f"{count} in {key}" for key, count in counts.items()),
+                expected=f"one value for each of {most} modes in each list"
+                if short
+                else f"at most {MAX_MODES} modes",
+                hint=f"state {most} values in {' and in '.join(short)}"
+                if short
+                else f"state at most {MAX_MODES} values in each list",
             )
         return most
 
@@ -249,7 +255,7 @@ stop = "10 kHz"
                 values = [key for key in VALUE_UNITS_OF_SHEET if getattr(part.keys, key)]
                 raise part.wrong(
                     f"tolerance.{name}",
-                    "this tolerance belongs to a value that is missing",
+                    f"the part states a tolerance of {name}, but no value of {name}",
                     got=name,
                     expected=f"one of {', '.join(values)}",
                     hint=f"state {name}, or delete its tolerance"
@@ -277,7 +283,9 @@ stop = "10 kHz"
         value = round_to_digits(
             circuit.c0 if level == "c0" else circuit.compute_capacitance(keys.c_low_at)
         )
-        params.append(make_positive_parameter(level, value, "F", _describe_key(keys, level, value)))
+        params.append(
+            make_positive_parameter(level, value, "F", _describe_parameter(keys, level, value))
+        )
         if level == "c_low":
             constants["c0"] = f"(c_low{''.join(fixed)})/({'+'.join(total)})"
         for end in ends:
@@ -303,7 +311,7 @@ def _find_impossible_pairs(part: Part[BvdKeys], start: np.ndarray) -> Iterator[U
             "the low-frequency capacitance is not greater than the clamped capacitance",
             got=f"c0 = {keys.c0:g} F and c_low = {keys.c_low:g} F",
             expected="c_low above c0",
-            hint="exchange both values, or delete c0",
+            hint="exchange both values, or delete the key `c0`",
         )
     if len(keys.zs) == 1:
         zs, reactance = keys.zs[0], 1 / (TWO_PI * start[1] * start[0])
@@ -377,7 +385,7 @@ def _choose_loss_key(keys: BvdKeys, modes: int) -> str:
     return "zs" if modes == 1 else "rm"
 
 
-def _describe_key(keys: BvdKeys, key: str, value: float) -> str:
+def _describe_parameter(keys: BvdKeys, key: str, value: float) -> str:
     """Describe a netlist parameter and its tolerance as text."""
     words = f"capacitance at {keys.c_low_at:g} Hz" if key == "c_low" else VALUE_NAMES[key]
     return words + write_tolerance_note(value, keys.tolerance.get(key))
@@ -386,14 +394,17 @@ def _describe_key(keys: BvdKeys, key: str, value: float) -> str:
 def _make_mode_parameter(keys: BvdKeys, circuit: Resonator, key: str, mode: int, end: str) -> Param:
     """Return a netlist parameter of one mode.
 
-    The coupling coefficient is that of a resonator with this mode only, because the clamped
-    capacitance ``c0`` is also a parameter.
+    The netlist computes ``cm`` of a mode from ``c0`` and the coupling coefficient ``keff``.
+    Therefore, ``keff`` is the coupling coefficient of a resonator with this mode only: ``keff^2 =
+    cm / (c0 + cm)``.
     """
     value = MODE_VALUES[key](circuit, mode)
     if key == "keff":
         value = (circuit.cm[mode] / (circuit.c0 + circuit.cm[mode])) ** 0.5
     unit, value = VALUE_UNITS_OF_SHEET[key] or "-", round_to_digits(value)
-    return make_positive_parameter(f"{key}{end}", value, unit, _describe_key(keys, key, value))
+    return make_positive_parameter(
+        f"{key}{end}", value, unit, _describe_parameter(keys, key, value)
+    )
 
 
 def _write_element_equations(end: str, ratio: str, loss: str) -> dict[str, str]:

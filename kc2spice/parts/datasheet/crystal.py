@@ -10,7 +10,7 @@ from pydantic import Field
 
 from kc2spice.core.quantities import Capacitance, Frequency, Inductance, Ratio, Resistance
 from kc2spice.netlist.circuit import make_positive_parameter
-from kc2spice.netlist.spelling import round_to_digits
+from kc2spice.netlist.number_and_name_spelling import round_to_digits
 from kc2spice.parts.datasheet._resonator import (
     TWO_PI,
     RatedKeys,
@@ -21,8 +21,8 @@ from kc2spice.parts.datasheet._resonator import (
     write_tolerance_note,
 )
 from kc2spice.parts.datasheet._stated_values import Relation, StatedValues
-from kc2spice.scene.model import Part
 from kc2spice.scene.parttype import register_part_type
+from kc2spice.scene.scene_classes import Part
 
 # Relative rounding error of a stated frequency: a tenth of the usual frequency tolerance.
 FREQUENCY_ROUNDING = 1e-6
@@ -121,7 +121,10 @@ scale = "linear"
         relations = _list_relations(keys.cl)
         rounding = {"f": FREQUENCY_ROUNDING}
         start = np.array([keys.c0, keys.f, c1, r1])
-        values = StatedValues(part.name, stated, relations, start, CRYSTAL_UNITS, {}, rounding)
+        suspects = part.overridden_keys
+        values = StatedValues(
+            part.name, stated, relations, start, CRYSTAL_UNITS, {}, rounding, suspects
+        )
         return Resonator.from_unknowns(values.solve())
 
     def make_resonator_netlist(

@@ -8,15 +8,23 @@ from typing import Any
 
 import numpy as np
 
-from kc2spice.core import laws
-from kc2spice.core.errors import list_candidates
+from kc2spice.core import constitutive_laws as laws
+from kc2spice.core.errors import UsageError, list_candidates
 from kc2spice.core.figure import Figure
 from kc2spice.core.probe_values import find_response_maximum
 from kc2spice.core.si_prefix_format import format_quantity
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import make_positive_parameter
-from kc2spice.netlist.spelling import round_to_digits
-from kc2spice.parts.datasheet._driver_circuit import (
+from kc2spice.netlist.number_and_name_spelling import round_to_digits
+from kc2spice.parts.datasheet._efficiency import compute_efficiency
+from kc2spice.parts.datasheet._ladders import (
+    CREEP_BAND,
+    SEMI_INDUCTANCE_BAND,
+    RelaxationLadder,
+    fit_creep_ladder,
+    make_semi_inductance_ladder,
+)
+from kc2spice.parts.datasheet._loudspeaker_circuit import (
     COIL,
     FRONT,
     REAR,
@@ -26,22 +34,15 @@ from kc2spice.parts.datasheet._driver_circuit import (
     declare_massless_driver,
     declare_moving_mass,
 )
-from kc2spice.parts.datasheet._driver_keys import (
+from kc2spice.parts.datasheet._loudspeaker_keys import (
     AREA_KEYS,
     DRIVER_PARAMETERS,
     DRIVER_UNITS,
     EXAMPLE_WOOFER,
+    USUAL_QTS,
     LoudspeakerKeys,
     compute_thiele_small,
     make_relation,
-)
-from kc2spice.parts.datasheet._efficiency import compute_efficiency
-from kc2spice.parts.datasheet._ladders import (
-    CREEP_BAND,
-    SEMI_INDUCTANCE_BAND,
-    RelaxationLadder,
-    fit_creep_ladder,
-    make_semi_inductance_ladder,
 )
 from kc2spice.parts.datasheet._resonator import (
     TWO_PI,
@@ -53,7 +54,10 @@ from kc2spice.physics import Declaration, current
 from kc2spice.physics.part import get_across_vector
 from kc2spice.physics.part_with_mass import DeclaredPartWithMass
 from kc2spice.scene.checks import Check, Metric
-from kc2spice.scene.model import (
+from kc2spice.scene.part_records import EquilibriumConditions, NeglectedEffect, PartResult
+from kc2spice.scene.parttype import register_part_type
+from kc2spice.scene.plausibility import check_usual_range
+from kc2spice.scene.scene_classes import (
     BuiltScene,
     DeclaredScene,
     GovernedScene,
@@ -63,8 +67,6 @@ from kc2spice.scene.model import (
     Terminal,
     WiredScene,
 )
-from kc2spice.scene.part_records import EquilibriumConditions, NeglectedEffect, PartResult
-from kc2spice.scene.parttype import register_part_type
 
 RADIATION = "radiation"  # part type that models the mass of the air at the cone
 # Default ratio le / re [s] for a data sheet without le.
@@ -93,10 +95,10 @@ def _read_semi_inductance(part: Part[LoudspeakerKeys]) -> SemiInductance | None:
         if keys.leb is not None:
             raise part.wrong(
                 "leb",
-                "the key leb applies only to a voice coil with a semi-inductance",
+                "the key `leb` applies only to a voice coil with a semi-inductance",
                 got=f"{keys.leb:g} H without ke and rss",
-                expected="leb together with ke or rss",
-                hint="rename leb to le, or enter ke",
+                expected="the key `leb` together with `ke` or `rss`",
+                hint="rename the key `leb` to `le`, or add the key `ke`",
             )
         return None
     if keys.ke is None and keys.le is None:
@@ -105,7 +107,7 @@ def _read_semi_inductance(part: Part[LoudspeakerKeys]) -> SemiInductance | None:
             "this resistance has no inductance in parallel",
             got=f"{keys.rss:g} Ohm without le and ke",
             expected="rss together with le or ke",
-            hint="enter le or ke, or delete rss",
+            hint="add the key `le` or `ke`, or delete the key `rss`",
         )
     values = (getattr(keys, name) or 0.0 for name in SemiInductance._fields)
     return SemiInductance(*values)
@@ -121,7 +123,7 @@ def _require_area_and_mass(part: Part[LoudspeakerKeys], driver: SpeakerParameter
             "sd",
             "a loudspeaker with acoustic pins needs the area of its cone",
             got="no sd",
-            expected="the key sd, or vas with cms or with fs and mms",
+            expected="the key `sd`; or `vas` and `cms`; or `vas`, `fs` and `mms`",
             hint='add for example  sd = "132 cm2"',
         )
     if driver.mmd <= 0:
@@ -170,6 +172,14 @@ stop = "1 kHz"
         """Return the parameters of the loudspeaker, which other parts read."""
         return self.solve_parameters(part)
 
+    def problems(self, part: Part[LoudspeakerKeys], scene: GovernedScene) -> Iterator[UsageError]:
+        """Yield an error for each invalid key; warn about an unusual Q factor."""
+        yield from super().problems(part, scene)
+        driver = self._find_parameters(part, scene)
+        qts = driver.qms * driver.qes / (driver.qms + driver.qes)
+        hint = "are the data-sheet values and their units right?"
+        yield from check_usual_range(f"{part.name}.qts", qts, USUAL_QTS, hint)
+
     def solve_parameters(self, part: Part[LoudspeakerKeys]) -> SpeakerParameters:
         """Compute the driver parameters from the data-sheet keys of the part."""
         keys = part.keys
@@ -178,10 +188,10 @@ stop = "1 kHz"
             if name not in stated:
                 raise part.wrong(
                     f"tolerance.{name}",
-                    "this tolerance belongs to a value that is missing",
+                    f"the part states a tolerance of {name}, but no value of {name}",
                     got=name,
                     expected=f"one of {list_candidates(name, stated)}",
-                    hint=f"add {name} to the keys of {part.name}, or delete tolerance.{name}",
+                    hint=f"add the key `{name}` to {part.name}, or delete `tolerance.{name}`",
                 )
         has_area = any(getattr(keys, key) for key in AREA_KEYS)
         names = tuple(name for name in EXAMPLE_WOOFER if name != "sd" or has_area)
@@ -193,7 +203,10 @@ stop = "1 kHz"
         start = np.array(list(map(first.__getitem__, names)))
         relations = {key: make_relation(key, names) for key in known}
         tolerance = dict(keys.tolerance)
-        values = StatedValues(part.name, stated, relations, start, DRIVER_UNITS, tolerance, {})
+        suspects = part.overridden_keys
+        values = StatedValues(
+            part.name, stated, relations, start, DRIVER_UNITS, tolerance, {}, suspects
+        )
         unknowns = dict(zip(names, values.solve().tolist(), strict=True))
         sizes = compute_thiele_small({"sd": EXAMPLE_WOOFER["sd"]} | unknowns)
         driver = SpeakerParameters(
@@ -265,7 +278,10 @@ stop = "1 kHz"
     def equilibrium_conditions(
         self, part: Part[LoudspeakerKeys], scene: WiredScene
     ) -> EquilibriumConditions:
-        """Return the path of the steady suspension force, from ``cone`` to ``frame``."""
+        """Return the path of a constant force, which an equilibrium of the cone requires.
+
+        The path leads from ``cone`` to ``frame``. As the cone has a mass, its velocity cannot jump.
+        """
         return EquilibriumConditions((self.moving_pins,), inertial_pins=self.moving_pins[:1])
 
     def vectors(self, part: Part[LoudspeakerKeys], build: BuiltScene) -> Mapping[str, PartResult]:
@@ -282,7 +298,7 @@ stop = "1 kHz"
         return result
 
     def law(self, part: Part[LoudspeakerKeys], build: BuiltScene) -> laws.Equations:
-        """Return the part's model equations, which are solved without a simulator."""
+        """Return the part's law: its model equations, solved by kc2spice without ngspice."""
         equations, n = super().law(part, build), part.name
         results = dict(equations.results)
         if f"{n}.{COIL}" in results:
@@ -334,7 +350,7 @@ stop = "1 kHz"
     def figures(
         self, part: Part[LoudspeakerKeys], build: BuiltScene, waves: Waveforms
     ) -> Iterator[Figure]:
-        """Yield the charts of the part for the report."""
+        """Yield the figures of the part for the report."""
         result = self._compute_impedances(part, waves)
         if result is not None:
             how = f"as the circuit shows it at {part.name}: maximum at resonance."
@@ -402,7 +418,7 @@ def _describe_ladder(
 ) -> str:
     """Describe the elements, the band and the error of a relaxation ladder as text.
 
-    ``unit`` [Hz] is the unit of ``band``.
+    ``band`` contains the lowest and the highest frequency as multiples of ``unit`` [Hz].
     """
     low, high = (f"{unit * end:.3g}" for end in band)
     return (

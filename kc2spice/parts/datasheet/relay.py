@@ -10,11 +10,11 @@ import numpy as np
 from pydantic import Field
 
 from kc2spice.core.errors import UsageError
-from kc2spice.core.quantities import Inductance, Ratio, Resistance, Section, Time, Voltage
+from kc2spice.core.quantities import CoilInductance, Ratio, Resistance, Section, Time, Voltage
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.thermal_materials import find_resistance_coefficient
 from kc2spice.netlist.circuit import Param, make_positive_parameter
-from kc2spice.netlist.spelling import round_to_digits
+from kc2spice.netlist.number_and_name_spelling import round_to_digits
 from kc2spice.parts.datasheet._resonator import (
     NumberedKeys,
     NumberedPart,
@@ -23,7 +23,9 @@ from kc2spice.parts.datasheet._resonator import (
 from kc2spice.physics import Declaration, DeclaredPart, current, voltage
 from kc2spice.physics.conductors import ConductorKeys
 from kc2spice.scene.checks import Metric
-from kc2spice.scene.model import (
+from kc2spice.scene.part_records import NeglectedEffect, NumericalRequirements
+from kc2spice.scene.parttype import register_part_type
+from kc2spice.scene.scene_classes import (
     BuiltScene,
     GovernedScene,
     JoinedScene,
@@ -32,8 +34,6 @@ from kc2spice.scene.model import (
     Terminal,
     WiredScene,
 )
-from kc2spice.scene.part_records import NeglectedEffect, NumericalRequirements
-from kc2spice.scene.parttype import register_part_type
 
 # Assumed rise time of the current, divided by the operate time, if the inductance is not known.
 CURRENT_RISE_SHARE = 0.9
@@ -46,14 +46,14 @@ class RelayKeys(ConductorKeys, NumberedKeys):
     """Keys of a relay from its data sheet.
 
     The armature pulls in when the product of current and coil resistance exceeds ``pick_up``. The
-    armature releases when this product falls below ``release``.
+    armature releases when the product of current and coil resistance falls below ``release``.
     """
 
     resistance: Resistance = Field(gt=0, description="Resistance of the relay's coil")
     voltage: Voltage = Field(gt=0, description="Rated voltage of the relay's coil")
     pick_up: Voltage = Field(gt=0, description="Coil voltage at which the armature pulls in")
     release: Voltage = Field(gt=0, description="Coil voltage at which the armature releases")
-    inductance: Inductance | None = Field(
+    inductance: CoilInductance | None = Field(
         None,
         gt=0,
         description=(
@@ -172,10 +172,10 @@ def measure_delay(time: np.ndarray, cause: np.ndarray, effect: np.ndarray) -> fl
 def declare_relay(params: tuple[Param, ...], changeover: bool) -> Declaration:
     """Return the declaration of the coil, the armature and the contacts of a relay.
 
-    The position of the armature is 0 at rest, and at most 1. The armature moves towards 1 while the
-    voltage across the coil resistance exceeds the pick-up voltage. Beyond the middle of its travel,
-    the armature already moves towards 1 while the voltage exceeds the release voltage. The contacts
-    switch when the armature is in the middle.
+    The position of the armature is 0 at rest, and at most 1. While the voltage across the coil
+    resistance exceeds the pick-up voltage, the armature moves towards position 1, where it is fully
+    pulled in. An armature beyond the middle of its travel moves towards position 1 as long as the
+    voltage exceeds the release voltage. The contacts switch when the armature is in the middle.
     """
     closed, opened = "1/contact_resistance", "1/insulation_resistance"
     step = f"({closed} - {opened})*above(armature - 0.5)"
@@ -202,7 +202,7 @@ def declare_relay(params: tuple[Param, ...], changeover: bool) -> Declaration:
 
 
 class Relay(NumberedPart[RelayKeys], DeclaredPart[RelayKeys]):
-    """Part type ``relay``: relay with one contact from its data sheet."""
+    """Part type ``relay``: relay with one contact, modelled from its data sheet."""
 
     name, title = "relay", "relay with one contact from its data sheet"
     schema = RelayKeys
@@ -288,7 +288,8 @@ pins = { a = "relay.com", b = "gnd" }
     def numerics(self, part: Part[RelayKeys], scene: WiredScene) -> Iterator[NumericalRequirements]:
         """Yield requirements on the time step, to resolve the motion of the armature.
 
-        A smaller Newton tolerance is also required if necessary.
+        If the equations of the relay are nonlinear, the analyses ``dc`` and ``op`` also require a
+        smaller Newton tolerance.
         """
         yield from super().numerics(part, scene)
         times = solve_timing(part)
@@ -299,11 +300,11 @@ pins = { a = "relay.com", b = "gnd" }
     def metrics(
         self, part: Part[RelayKeys], build: BuiltScene, waves: Waveforms
     ) -> Mapping[str, object]:
-        """Return the largest coil current, and the operate and release times of a transient.
+        """Return the largest coil current, and a transient's operate and release times.
 
-        A time is absent if the relay does not operate or release exactly once. The release time is
-        also absent without the key ``inductance``, because the inductance from the operate time is
-        too large.
+        A time is absent if the relay does not operate or release exactly once. Without the key
+        ``inductance``, the release time is also absent, because the inductance computed from the
+        operate time is too large for an accurate release time.
         """
         keys = part.keys
         columns = [waves.data.get(f"{part.name}.{result}") for result in ("v", "i", "armature")]

@@ -1,10 +1,10 @@
 """Equations of the drivers' circuits, for the independent integrator.
 
-Each function ``declare_…`` returns the declaration of the same circuit as a netlist template
-``templates/driver_….j2``, with equal nodes. In the declaration, the content represents resistors,
-the coenergy represents capacitors, and output currents represent controlled sources. An inner node
-of a driver is declared as a pin to which no other part is connected. The equations do not include
-noise.
+Each function ``declare_…`` declares the circuit that one netlist template ``templates/driver_….j2``
+contains. The declaration and the template have equal nodes. A declaration describes resistors as
+terms of the content function, capacitors as terms of the coenergy function, and controlled sources
+as output currents. An inner node of a driver is declared as a pin to which no other part is
+connected. The equations do not include noise.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 
-from kc2spice.core import laws
+from kc2spice.core import constitutive_laws as laws
 from kc2spice.core.quantities import BOLTZMANN, DEFAULT_TEMPERATURE, ELEMENTARY_CHARGE, Section
 from kc2spice.netlist.circuit import Param
 from kc2spice.physics.declaration import Branch, Declaration, measured, voltage
@@ -20,14 +20,16 @@ from kc2spice.physics.law import DeclaredLaw
 
 OUTPUT_RESISTANCE = 0.1  # Ohm, output resistance of an operational amplifier
 STATIC_GAIN = 1e7  # voltage gain of an operational amplifier at zero frequency
-RAIL_STIFFNESS = 1e3  # restoring rate divided by slew rate, for each volt beyond a rail [1/V]
+# rate [V/s] at which a voltage beyond a rail returns to the rail, divided by the slew rate and by
+# the difference between the voltage and the rail; the unit is 1/V
+RAIL_STIFFNESS = 1e3
 FULL_TURN = repr(2 * math.pi)
 # Name of the parameter with the resistance [Ohm] of ``Rout``, the last resistor of each circuit.
 SERIES_PARAMETER = "series_resistance"
-# Gain with which the amplifier of a controller limits voltages beyond a rail.
+# Gain of the feedback that keeps the output voltage of a controller's amplifier within its rails.
 # The gain is the conductance of the rail, 1 kS, divided by the input conductance, 1 mS.
 RAIL_GAIN = 1e6
-# Amplitude of the sine whose arcsine is the triangle.
+# Amplitude of a sine; the arcsine of this sine is the triangular carrier of a PWM driver.
 # With an amplitude below 1, the corners of the triangle are rounded.
 SINE_SHARE = 0.9999
 PI_BANDWIDTH = 1e7  # Hz, gain-bandwidth product of the amplifier of a PI controller
@@ -50,7 +52,7 @@ def declare_amplifier(parameters: Iterable[Param]) -> Declaration:
         "amplifier",
         "high-voltage amplifier",
         Section,
-        _declare_nodes("out", "drive"),
+        _declare_node_branches("out", "drive"),
         content=f"0.5*(drive - out)^2/{SERIES_PARAMETER} + 0.5*drive^2/20000 - drive*delivered",
         signals={"delivered": _write_output_current("drive")},
         states={
@@ -74,7 +76,7 @@ def declare_charge_drive(parameters: Iterable[Param]) -> Declaration:
         "charge_drive",
         "charge drive",
         Section,
-        _declare_nodes("anode", "cathode", "drive"),
+        _declare_node_branches("anode", "cathode", "drive"),
         coenergy="0.5*sense*cathode^2",
         content=f"0.5*(drive - anode)^2/{SERIES_PARAMETER} - drive*delivered"
         " + 0.5*sense*cathode^2 + 0.5*capacitance*(anode - cathode)^2",
@@ -99,7 +101,7 @@ def declare_linear_drive(parameters: Iterable[Param], sense: float) -> Declarati
         "linear_drive",
         "current source",
         Section,
-        _declare_nodes("drive", "ret", "power", "inverting", "middle"),
+        _declare_node_branches("drive", "ret", "power", "inverting", "middle"),
         coenergy="0.5*constant/(1000*ratio)*(middle - drive)^2",
         content=f"0.5*(power - drive)^2/{SERIES_PARAMETER} - power*delivered + 0.5*ret^2/{sense!r}"
         " + 0.5*(ret - inverting)^2/1000 + 0.5*(inverting - middle)^2/(1000*ratio)",
@@ -130,7 +132,7 @@ def declare_half_bridge(parameters: Iterable[Param]) -> Declaration:
         "half_bridge",
         "half-bridge",
         Section,
-        _declare_nodes("out", "bridge", "tank", "high", "low"),
+        _declare_node_branches("out", "bridge", "tank", "high", "low"),
         coenergy="0.5*reservoir*tank^2 + 0.5*1e-10*bridge^2"
         " + 0.5*5e-10*(high - bridge)^2 + 0.5*2e-11*(tank - high)^2"
         " + 0.5*5e-10*low^2 + 0.5*2e-11*(bridge - low)^2",
@@ -170,7 +172,9 @@ def declare_pwm_drive(
         "pulse-width modulated H-bridge",
         Section,
         (
-            *_declare_nodes("drive", "ret", "low", "sensed", "inverting", "middle", "output"),
+            *_declare_node_branches(
+                "drive", "ret", "low", "sensed", "inverting", "middle", "output"
+            ),
             measured(voltage("sine", "sine", "ref")),
         ),
         coenergy="0.5*constant/r2*rail*(middle - output)^2",
@@ -206,11 +210,11 @@ def _write_transistor_current(gate: str, drain: str, source: str) -> str:
     return f"0.5*kp*({' - '.join(ends)}) - {diode}"
 
 
-def _declare_nodes(*names: str) -> tuple[Branch, ...]:
-    """Return the branches to ``ref``: two from each node, and one from ``command``.
+def _declare_node_branches(*names: str) -> tuple[Branch, ...]:
+    """Declare two branches for each node of ``names``, and one for pin ``command``.
 
-    From every node, two branches lead to ``ref``. The branch ``NAME`` carries the current
-    ``i_NAME``, and the branch ``v_NAME`` only measures the voltage.
+    All branches lead to ``ref``. The branch ``NAME`` carries the current ``i_NAME``, and the branch
+    ``v_NAME`` only measures the voltage.
     """
     acting = (voltage(name, name, "ref", f"i_{name}") for name in names)
     seen = (measured(voltage(f"v_{name}", name, "ref")) for name in names)
@@ -226,14 +230,14 @@ def _write_output_current(node: str) -> str:
 
 
 def _write_compensation_rate(difference: str, low: str, high: str) -> str:
-    """Write the rate [V/s] of an amplifier's internal voltage as an expression.
+    """Write the rate [V/s] of the voltage at an amplifier's compensation node.
 
     The voltage c is measured before the output resistance. ``difference`` [V] is the difference of
     the input voltages, and ``low`` and ``high`` [V] are the rails. ``unity`` is the angular
     frequency of unit gain, and ``slew`` is the slew rate::
 
-        rate = clip(unity difference, +-slew) - unity c / STATIC_GAIN
-               - RAIL_STIFFNESS slew (max(0, c - high) - max(0, low - c))
+        rate = clip(unity * difference, +-slew) - unity * c / STATIC_GAIN
+               - RAIL_STIFFNESS * slew * (max(0, c - high) - max(0, low - c))
     """
     return (
         f"slew*clip(unity*({difference})/slew) - unity*compensation/{STATIC_GAIN!r}"

@@ -7,20 +7,20 @@ from typing import Any
 
 from pydantic import Field
 
-from kc2spice.core import laws
+from kc2spice.core import constitutive_laws as laws
 from kc2spice.core.quantities import Capacitance, Current, Ratio, Resistance, Section, Time, Voltage
 from kc2spice.netlist.circuit import Param
-from kc2spice.parts.electronics._template_parts import TemplatePart
+from kc2spice.parts.electronics._parts_with_netlist_template import TemplatePart
 from kc2spice.physics.junction import Junction
-from kc2spice.scene.model import (
+from kc2spice.scene.part_records import NeglectedEffect, NumericalRequirements, PartResult
+from kc2spice.scene.parttype import register_part_type
+from kc2spice.scene.scene_classes import (
     BuiltScene,
     Part,
     Scene,
     Terminal,
     WiredScene,
 )
-from kc2spice.scene.part_records import NeglectedEffect, NumericalRequirements, PartResult
-from kc2spice.scene.parttype import register_part_type
 
 
 class DiodeKeys(Section):
@@ -79,7 +79,7 @@ class Diode(TemplatePart[DiodeKeys]):
         return params, {}
 
     def law(self, part: Part[DiodeKeys], build: BuiltScene) -> laws.Equations:
-        """Return the part's model equations, which are solved without a simulator."""
+        """Return the part's law: its model equations, solved by kc2spice without ngspice."""
         junction = Junction(part.name, *part.keys.model_dump().values())
         ends = tuple((pin.name, f"{part.name}.{pin.name}") for pin in self.fixed)
         flow = junction.flows[0].pin

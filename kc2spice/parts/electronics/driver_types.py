@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 import numpy as np
 from pydantic import Field
 
-from kc2spice.core import laws
+from kc2spice.core import constitutive_laws as laws
 from kc2spice.core.quantities import (
     Capacitance,
     Current,
@@ -32,7 +32,7 @@ from kc2spice.parts.electronics._driver_laws import (
     declare_linear_drive,
     declare_pwm_drive,
 )
-from kc2spice.parts.electronics._template_parts import (
+from kc2spice.parts.electronics._parts_with_netlist_template import (
     RAIL_MARGIN,
     CoilDriver,
     CoilLoad,
@@ -42,14 +42,14 @@ from kc2spice.parts.electronics._template_parts import (
     make_key_parameters,
 )
 from kc2spice.physics.declaration import Declaration
-from kc2spice.scene.model import (
+from kc2spice.scene.part_records import HighestFrequency, NumericalRequirements
+from kc2spice.scene.parttype import register_part_type
+from kc2spice.scene.scene_classes import (
     BuiltScene,
     DeclaredScene,
     Part,
     WiredScene,
 )
-from kc2spice.scene.part_records import HighestFrequency, NumericalRequirements
-from kc2spice.scene.parttype import register_part_type
 
 DEFAULT_NEGATIVE_RAIL = -10.0  # V
 
@@ -100,7 +100,7 @@ class Amplifier(Driver[AmplifierKeys]):
     def template_values(
         self, part: Part[AmplifierKeys], build: BuiltScene
     ) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
-        """Return the netlist parameters, and the lower rail [V] for the template."""
+        """Return the netlist parameters, and the lower rail [V] that the template needs."""
         names = set(AmplifierKeys.model_fields) - {"negative_rail"}
         return make_key_parameters(part.keys, *names), {"negative_rail": self.rails(part)[0]}
 
@@ -111,7 +111,10 @@ class Amplifier(Driver[AmplifierKeys]):
     def compute_control_variables(
         self, part: Part[AmplifierKeys], waves: Waveforms
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the command, and the voltage of the feedback divider's upper end."""
+        """Compute the control variables: command voltage and inner output voltage [V].
+
+        The feedback divider is connected to the inner output, before the series resistor.
+        """
         return self.read_pin(part, waves, "command"), self.compute_inner_voltage(part, waves)
 
     def rails(self, part: Part[AmplifierKeys]) -> tuple[float, float]:
@@ -175,7 +178,7 @@ class ChargeDrive(Driver[ChargeDriveKeys]):
     def compute_control_variables(
         self, part: Part[ChargeDriveKeys], waves: Waveforms
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the set voltage and the actual voltage of the sense capacitor."""
+        """Compute the control variables: set and actual sense-capacitor voltage [V]."""
         target = part.keys.capacitance / part.keys.sense * self.read_pin(part, waves, "command")
         return target, self.read_pin(part, waves, "cathode")
 
@@ -286,7 +289,7 @@ class LinearDrive(CoilDriver[LinearDriverKeys]):
     def compute_control_variables(
         self, part: Part[LinearDriverKeys], waves: Waveforms
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the command, and the voltage of the sense resistor."""
+        """Compute the control variables: command voltage and sense-resistor voltage [V]."""
         return self.read_pin(part, waves, "command"), self.read_pin(part, waves, "ret")
 
     def rails(self, part: Part[LinearDriverKeys]) -> tuple[float, float]:
@@ -299,8 +302,9 @@ class LinearDrive(CoilDriver[LinearDriverKeys]):
         """Return netlist parameters and template values that suit the coils ``load``.
 
         The output voltage is ``drive = command + (command - V(ret)) ratio (1 + 1 / (s L / R))``
-        with ``ratio = 2 pi f L / 100 Ohm``. f is the bandwidth of the loop, and L and R are the
-        inductance and the resistance of the coils. The amplifier has the bandwidth ``5 f``.
+        with ``ratio = 2 pi f L / 100 Ohm``. In the formulas for ``drive`` and ``ratio``, f is the
+        bandwidth of the control loop, and L and R are the inductance and the resistance of the
+        coils. The amplifier has the bandwidth ``5 f``.
         """
         ratio = 2 * math.pi * keys.bandwidth * load.inductance / SENSE_RESISTANCE
         resistance = load.resistance + SENSE_RESISTANCE
@@ -368,7 +372,7 @@ class PwmDrive(CoilDriver[PwmKeys]):
         return 0.0, part.keys.rail
 
     def find_clipping(self, part: Part[PwmKeys], waves: Waveforms) -> tuple[np.ndarray, np.ndarray]:
-        """Return where the bridge stops switching at the lower and at the upper rail.
+        """Return masks of the times at which a leg clips at the lower or upper rail.
 
         The modulator clips if the voltage of a leg stays at a rail for more than one period of the
         carrier.
@@ -383,7 +387,7 @@ class PwmDrive(CoilDriver[PwmKeys]):
     def law(self, part: Part[PwmKeys], build: BuiltScene) -> laws.Equations | laws.MissingEquations:
         """Return the model equations of the circuit and of the carrier waveform.
 
-        A sine generates the triangular carrier.
+        The triangular carrier is proportional to the arcsine of a sinusoidal signal.
         """
         result = super().law(part, build)
         if isinstance(result, laws.MissingEquations):
@@ -408,10 +412,11 @@ class PwmDrive(CoilDriver[PwmKeys]):
     ) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
         """Return netlist parameters and template values that suit the coils ``load``.
 
-        The output of the controller is ``u = command + (command - 100 Ohm i) ratio (1 + 1 / (s L /
-        R))`` with ``ratio = 2 pi f L carrier / (100 Ohm rail)``. A comparator compares the output
-        of the controller with a triangle of the amplitude ``carrier``. f is the bandwidth of the
-        loop, and L and R are the inductance and the resistance of the coils.
+        The output of the controller is ``u = command + (command - 100 Ohm * i) * ratio * (1 + 1 /
+        (s L / R))`` with ``ratio = 2 pi * f * L * carrier / (100 Ohm * rail)``. In the formulas for
+        ``u`` and ``ratio``, f is the bandwidth of the control loop, L the inductance of the coils,
+        and R the resistance of the coil circuit. A comparator compares the output of the controller
+        with a triangle of the amplitude ``carrier``.
         """
         resistance = load.resistance + 2 * keys.resistance + self.constants["shunt"]
         r2 = (
@@ -427,7 +432,7 @@ class PwmDrive(CoilDriver[PwmKeys]):
             "inductance": load.inductance,
             "coil_resistance": resistance,
             "bandwidth": keys.bandwidth,
-            "r2": r2,  # product of 1e5 Ohm, ratio and rail voltage [Ohm V]
+            "r2": r2,  # feedback resistance of the controller times the rail voltage [Ohm V]
             "constant": load.inductance / resistance,
         }
 
@@ -445,9 +450,10 @@ class PwmDrive(CoilDriver[PwmKeys]):
 
 
 def _select_long_intervals(selected: np.ndarray, t: np.ndarray, duration: float) -> np.ndarray:
-    """Return the selected points in consecutive groups longer than ``duration`` [s].
+    """Select the long intervals of selected points: longer than ``duration`` [s].
 
-    ``selected`` and the times ``t`` [s] are arrays of shape (n,).
+    An interval consists of consecutive selected points. An interval stays selected if it lasts
+    longer than ``duration`` [s]. ``selected`` and the times ``t`` [s] are arrays of shape (n,).
     """
     result = selected.copy()
     turns = np.diff(np.r_[0, selected.astype(int), 0])

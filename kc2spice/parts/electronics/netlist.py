@@ -17,25 +17,27 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
+from kc2spice.core.constitutive_laws import MissingEquations
 from kc2spice.core.domains import PIN_UNITS, SIGNAL
 from kc2spice.core.errors import UsageError, did_you_mean, list_candidates, unknown
-from kc2spice.core.laws import MissingEquations
 from kc2spice.core.quantities import Section, Slew, Voltage
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.card_parser import read_cards
 from kc2spice.netlist.circuit import Pin
 from kc2spice.netlist.importer import Syntax, translate_circuit
 from kc2spice.netlist.include_scan import read_included_netlist, read_untrusted_netlist
-from kc2spice.netlist.library import Header, Subcircuit
-from kc2spice.netlist.scope import Scope, build_scope, conducts_to_ground, has_vector
-from kc2spice.netlist.spelling import require_name as checked
-from kc2spice.parts.electronics._template_parts import (
+from kc2spice.netlist.name_scopes import Scope, build_scope, conducts_to_ground, has_vector
+from kc2spice.netlist.number_and_name_spelling import require_name as checked
+from kc2spice.netlist.subcircuit_library import Header, Subcircuit
+from kc2spice.parts.electronics._parts_with_netlist_template import (
     RAIL_MARGIN,
     list_pin_voltages,
     make_rails_check,
 )
 from kc2spice.scene.checks import Check
-from kc2spice.scene.model import (
+from kc2spice.scene.part_records import PartResult
+from kc2spice.scene.parttype import register_part_type
+from kc2spice.scene.scene_classes import (
     BuiltScene,
     DeclaredScene,
     GovernedScene,
@@ -45,12 +47,10 @@ from kc2spice.scene.model import (
     Scene,
     Terminal,
 )
-from kc2spice.scene.part_records import PartResult
-from kc2spice.scene.parttype import register_part_type
 from kc2spice.scene.settings import FileName
 
 # Device parameter of ngspice for the current of an element, keyed by the element's first letter.
-# The device parameter is empty for elements with a branch current.
+# The parameter is empty for the elements V, E and H: ngspice reads their current as ``i(name)``.
 _CURRENT_PARAMETERS = {
     **dict.fromkeys("rclb", "i"),
     **dict.fromkeys("dmj", "id"),
@@ -116,8 +116,10 @@ class NetlistKeys(Section):
     units: dict[str, str] = Field(
         default_factory=dict,
         description=(
-            f"Unit pair (value/flow) of each pin that is not electrical: {OTHER_KINDS}, or V for "
-            "a signal pin; by default V/A"
+            "Two units of each pin that is not electrical, UNIT/UNIT: first the unit of the "
+            "quantity that the voltage of the pin represents, then the unit of the quantity that "
+            f"its current represents. Accepted are {OTHER_KINDS}, and V alone for a signal pin. "
+            "Pins without an entry are electrical (V/A)"
         ),
     )
     ratings: dict[str, PinRating] = Field(
@@ -160,7 +162,8 @@ class Netlist(PartType[NetlistKeys]):
     def default_joins(self, part: Part[NetlistKeys], scene: GovernedScene) -> Mapping[str, str]:
         """Return the default connection of the pin ``command`` to the controller.
 
-        Only a driver circuit of the user has this connection.
+        The result is empty if the part is not a user-supplied driver circuit, or if the driver
+        circuit has no pin ``command``.
         """
         control = scene.find_only_part("pid")
         commanded = part.at[1:2] == ("driver",) and "drive" in part.pins
@@ -209,7 +212,8 @@ class Netlist(PartType[NetlistKeys]):
                 "the netlist has no such pin, node or current",
                 where=f"probes.{name}.of",
                 got=repr(f"{part.name}.{node}"),
-                expected=f"of {part.name}: {list_candidates(node, choices)}",
+                expected=f"one of the pins, nodes and currents of {part.name}: "
+                f"{list_candidates(node, choices)}",
                 hint=did_you_mean(node, choices) or f'write  of = "{part.name}.{choices[0]}"',
             )
         if part.keys.ratings and scene.analysis.type != "transient":
@@ -253,7 +257,7 @@ class Netlist(PartType[NetlistKeys]):
         return (Subcircuit(name, pins, (), tree, title=title, file=file, source=source),)
 
     def law(self, part: Part[NetlistKeys], build: BuiltScene) -> MissingEquations:
-        """Return the reason why the part has no model equations."""
+        """Return no law, but the reason why the part has no model equations."""
         return MissingEquations("its equations are a netlist of the user")
 
     def vectors(self, part: Part[NetlistKeys], build: BuiltScene) -> Mapping[str, PartResult]:

@@ -12,7 +12,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from pydantic import Field, PrivateAttr, ValidationInfo, field_validator, model_validator
 
-from kc2spice.core import laws
+from kc2spice.core import constitutive_laws as laws
 from kc2spice.core import waveforms as waves_
 from kc2spice.core.domains import QUANTITIES, Domain, Quantity, Side
 from kc2spice.core.errors import UsageError
@@ -23,9 +23,17 @@ from kc2spice.core.untrusted_files import locate_file_in_folder, read_bounded
 from kc2spice.core.waveforms import PulseKeys, SineKeys, Waveform, Waveforms
 from kc2spice.netlist.card_parser import split_words
 from kc2spice.netlist.circuit import Element, Item
-from kc2spice.netlist.spelling import format_number, format_voltage
+from kc2spice.netlist.number_and_name_spelling import format_number, format_voltage
 from kc2spice.scene.checks import Check
-from kc2spice.scene.model import (
+from kc2spice.scene.part_records import (
+    EquilibriumConditions,
+    HighestFrequency,
+    NumericalRequirements,
+    PartResult,
+    SweptSource,
+)
+from kc2spice.scene.parttype import register_part_type
+from kc2spice.scene.scene_classes import (
     BuiltScene,
     DeclaredScene,
     GovernedScene,
@@ -36,18 +44,10 @@ from kc2spice.scene.model import (
     Terminal,
     WiredScene,
 )
-from kc2spice.scene.part_records import (
-    EquilibriumConditions,
-    HighestFrequency,
-    NumericalRequirements,
-    PartResult,
-    SweptSource,
-)
-from kc2spice.scene.parttype import register_part_type
 
 
 class SourceKind(NamedTuple):
-    """Kind of a source: physical domain and side of the prescribed quantity.
+    """Kind of a source: domain, and across or through quantity that it prescribes.
 
     The side is ``across`` (such as a voltage) or ``through`` (such as a current).
     """
@@ -99,7 +99,8 @@ POINTS_PER_PERIOD = 125
 # Above the highest relevant frequency, a fraction of 1e-4 of the spectrum remains.
 EDGE_FACTOR = 0.5
 # Highest resolved frequency, divided by the frequency of a sine that is switched on.
-# With a ratio of 3, a mode above the band had an error of 1.3 %.
+# When the resolved band ended at 3 times the frequency of the sine, a mode above the band had an
+# error of 1.3 %.
 RESOLVED_HARMONICS = 8.0
 # Largest deviation of a simulated source from its definition, divided by its range of values.
 MAX_DEVIATION = 1e-3
@@ -164,11 +165,11 @@ class SourceKeys(Section):
         return rows
 
     @model_validator(mode="after")
-    def _require_one_waveform(self, info: ValidationInfo) -> SourceKeys:
-        """Require at most one waveform key, and read the waveform and the amplitude."""
+    def _read_waveform_and_amplitude(self, info: ValidationInfo) -> SourceKeys:
+        """Read the waveform and the amplitude; reject a source with two waveform keys."""
         shapes = self._stated_waveform_keys
         if len(shapes) > 1:
-            hint = f"delete the key {shapes[0]} or the key {shapes[1]}"
+            hint = f"delete the key `{shapes[0]}` or the key `{shapes[1]}`"
             raise make_invalid_value_error(
                 "the source has two waveforms: " + " and ".join(shapes), "one of them", hint=hint
             )
@@ -294,7 +295,7 @@ class Source(PartType[SourceKeys]):
     def numerics(
         self, part: Part[SourceKeys], scene: WiredScene
     ) -> Iterator[NumericalRequirements]:
-        """Yield requirements on the time step, to resolve edges and periods of the wave."""
+        """Yield requirements on the time step, to resolve edges and waveform periods."""
         yield from list_waveform_numerics(part.name, part.keys.waveform)
         pulse = part.keys.pulse
         if pulse is not None and pulse.count is None and pulse.period:
@@ -313,12 +314,12 @@ class Source(PartType[SourceKeys]):
     ) -> HighestFrequency:
         """Return a function that computes the highest relevant frequency [Hz]."""
         share = 1.0 if part.keys.kind in SMOOTHED_KINDS else 0.0
-        return partial(_find_filtered_frequency, part.keys.waveform, scene.stop_time, share)
+        return partial(_find_highest_filtered_frequency, part.keys.waveform, scene.stop_time, share)
 
     def equilibrium_conditions(
         self, part: Part[SourceKeys], scene: WiredScene
     ) -> EquilibriumConditions:
-        """Return the constraint or the constant load that the source imposes at t = 0.
+        """Return the equilibrium conditions: a constraint or a constant load at t = 0.
 
         A source of an across quantity prescribes the difference of this quantity between its pins.
         A source of a through quantity loads its pins with a constant flow.
@@ -361,7 +362,7 @@ class Source(PartType[SourceKeys]):
     def settable_quantities(
         self, part: Part[SourceKeys], build: BuiltScene
     ) -> Mapping[str, SweptSource]:
-        """Return the source whose value a dc sweep of the key ``dc`` sets."""
+        """Return the netlist source that a dc sweep of the key ``dc`` varies."""
         kind = SOURCE_TYPES[part.keys.kind]
         if _sweeps_back(part, build.scene):
             return {
@@ -406,7 +407,7 @@ class Source(PartType[SourceKeys]):
         yield Check(name, off, MAX_DEVIATION, "of its swing", advice, wiring=True)
 
     def law(self, part: Part[SourceKeys], build: BuiltScene) -> laws.Equations:
-        """Return the part's model equations, which are solved without a simulator."""
+        """Return the part's law: its model equations, solved by kc2spice without ngspice."""
         n, keys = part.name, part.keys
         wave, size = keys.waveform, complex(keys.amplitude)
         unloaded = keys.kind == "voltage" and _drives_only_signals(part, build)
@@ -426,11 +427,13 @@ class Source(PartType[SourceKeys]):
         yield f"{part.keys.kind}, {part.keys.waveform_key}"
 
 
-def _find_filtered_frequency(wave: Waveform, stop: float, share: float, constant: float) -> float:
+def _find_highest_filtered_frequency(
+    wave: Waveform, stop: float, share: float, constant: float
+) -> float:
     """Return the highest relevant frequency [Hz] of a low-pass filtered waveform.
 
-    The waveform is filtered by a first-order low-pass filter. The time constant of the filter is
-    ``constant`` [s] times ``share``.
+    The waveform is filtered by a first-order low-pass filter. The time constant of the low-pass
+    filter is ``share * constant`` [s]. If ``share`` is 0, the waveform is not filtered.
     """
     return find_waveform_frequency(wave, stop, share * constant)
 
@@ -448,8 +451,9 @@ def _write_sweep_cards(
     """Yield the netlist cards of a source for a dc sweep up and back down.
 
     The simulator sweeps an auxiliary voltage from the first value to beyond ``to``. Beyond ``to``,
-    the value of the source is the mirror image of the auxiliary voltage. The sweep to ``to`` and
-    back is therefore a single sweep. Each point starts from the solution of the previous point.
+    the value of the source is ``2 * to`` minus the auxiliary voltage. For the simulator, the dc
+    sweep to the end value and back is a single sweep of the auxiliary voltage. Each point starts
+    from the solution of the previous point.
     """
     selected = build.scene.analysis
     first = kind.netlist_factor * convert_quantity(selected.from_, kind.unit)
@@ -467,9 +471,10 @@ def _write_sweep_cards(
 
 
 def list_waveform_numerics(name: str, wave: Waveform) -> Iterator[NumericalRequirements]:
-    """Yield the longest time step and highest frequency that a waveform requires.
+    """Yield the longest permitted time step and the highest frequency of a waveform.
 
-    Sines and edges determine both values.
+    The frequency of a sine, or the edges of a pulse, determine both the time step and the highest
+    frequency.
     """
     if not wave.is_piecewise_linear:
         f = wave.frequency

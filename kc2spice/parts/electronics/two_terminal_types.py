@@ -14,12 +14,12 @@ from typing import Annotated, Any, NamedTuple
 
 from pydantic import Field, create_model
 
-from kc2spice.core.quantities import Capacitance, Inductance, Section, si
+from kc2spice.core.quantities import Capacitance, CoilInductance, Section, Stiffness, si
 from kc2spice.core.si_prefix_format import format_quantity
 from kc2spice.netlist.circuit import Element, Item
 from kc2spice.netlist.expression import Number, Tree
-from kc2spice.netlist.library import Header, Subcircuit
-from kc2spice.netlist.spelling import LEAK_RATE
+from kc2spice.netlist.number_and_name_spelling import LEAK_RATE
+from kc2spice.netlist.subcircuit_library import Header, Subcircuit
 from kc2spice.physics.conductors import ConductorKeys, is_heated
 from kc2spice.physics.declaration import (
     Branch,
@@ -39,7 +39,9 @@ from kc2spice.physics.symbolic_algebra import (
     evaluate_tree,
     multiply_trees,
 )
-from kc2spice.scene.model import (
+from kc2spice.scene.part_records import NeglectedEffect, PartResult
+from kc2spice.scene.parttype import register_part_type
+from kc2spice.scene.scene_classes import (
     BuiltScene,
     DeclaredScene,
     KeysT,
@@ -47,16 +49,15 @@ from kc2spice.scene.model import (
     Scene,
     WiredScene,
 )
-from kc2spice.scene.part_records import NeglectedEffect, PartResult
-from kc2spice.scene.parttype import register_part_type
 
 
 class ElementRow(NamedTuple):
     """Row of a table that defines one linear element type, such as a spring.
 
-    ``key`` is the only key of the element, with ``unit`` and the example ``value``. ``stated``
-    contains the energy or power terms of the element. ``drive`` contains the keys of the source in
-    the example scene.
+    ``key`` is the name of the element's only scene key. ``unit`` is the SI unit of the key, and
+    ``value`` is the value of the key in the example scene. ``stated`` contains arguments of the
+    element's declaration, such as its ``energy``, ``coenergy`` or ``content``. ``drive`` contains
+    the keys of the source in the example scene.
     """
 
     name: str
@@ -107,8 +108,8 @@ TABLE = (
 )  # fmt: skip
 
 
-# Key types with a plausible range of values, keyed by the unit of the key.
-_TYPES_OF_UNITS: Mapping[str, Any] = {"F": Capacitance, "H": Inductance}
+# Data types that limit the values of elements to a plausible range, keyed by unit.
+_TYPES_OF_UNITS: Mapping[str, Any] = {"F": Capacitance, "H": CoilInductance, "N/m": Stiffness}
 # Description of the key of each element.
 _KEY_DESCRIPTIONS = {
     "resistor": "Electrical resistance of the resistor",
@@ -155,8 +156,8 @@ class LinearElement(DeclaredPart[KeysT]):
 
     The current of an element is not read from the device parameter ``@r[i]``. In an ac analysis,
     ngspice computes device parameters only at the operating point. The current of a resistance is
-    computed from its voltage. The current of an inductance is its branch current. The current of a
-    capacitance is measured by an ideal ammeter in series at the pin ``a``.
+    computed from its voltage. The current of an inductance is an unknown that ngspice solves for.
+    The current of a capacitance is measured by an ideal ammeter in series at the pin ``a``.
     """
 
     @cached_property
@@ -193,7 +194,7 @@ class LinearElement(DeclaredPart[KeysT]):
         return float(evaluate_tree(tree, self.declaration.compute_parameter_values(part.keys)))
 
     def is_subcircuit(self, part: Part[KeysT], scene: DeclaredScene) -> bool:
-        """Return whether the element is a subcircuit, which its pin ``heat`` requires."""
+        """Return whether the element is a subcircuit, that is, has the pin ``heat``."""
         return is_heated(part, scene)
 
     def subcircuits(
@@ -201,7 +202,7 @@ class LinearElement(DeclaredPart[KeysT]):
     ) -> tuple[Subcircuit, ...]:
         """Return the subcircuit of the element if its pin ``heat`` is connected.
 
-        Otherwise, the result is empty.
+        If the pin ``heat`` is not connected, the returned tuple is empty.
         """
         return super().subcircuits(part, build, header) if is_heated(part, build.scene) else ()
 
@@ -242,9 +243,9 @@ class LinearElement(DeclaredPart[KeysT]):
     ) -> tuple[Element, ...]:
         """Return the card of a leak conductance for a floating net.
 
-        The leak conserves the charge of the net. The conductance is proportional to the
-        capacitance, as for an electrode of a body. If the sum of the charges ``C v`` on a net is
-        zero, the sum of the leakage currents ``rate C v`` is also zero.
+        The leaks do not charge a net whose total charge is zero. The conductance is proportional to
+        the capacitance, as for an electrode of a body. If the sum of the charges ``C v`` on a net
+        is zero, the sum of the leakage currents ``rate C v`` is also zero.
         """
         value = LEAK_RATE * self._evaluate(
             part, multiply_trees(self._unit_factor, self.admittance_term[1])
@@ -264,7 +265,8 @@ class LinearElement(DeclaredPart[KeysT]):
     def _has_si_units(self) -> bool:
         """Whether the pins of the element have SI units.
 
-        With SI units, a resistor card also has the thermal noise of the loss.
+        If the pins have SI units, the thermal noise of a resistor card equals the thermal noise of
+        the loss that the card represents.
         """
         return self._unit_factor == ONE
 
@@ -274,8 +276,8 @@ class LinearElement(DeclaredPart[KeysT]):
         """Return the netlist cards of the thermal noise of a lossy element.
 
         An example is the force noise of a damper. For the damping c, the force noise has the
-        spectral density ``4 k T c`` [N^2/Hz]. A resistor of c ohms has a voltage noise density with
-        the same numerical value.
+        spectral density ``4 k T c`` [N^2/Hz]. In the netlist, a resistor of c ohms with the voltage
+        noise density ``4 k T c`` [V^2/Hz] represents the force noise.
         """
         if not self._has_loss:
             return ()

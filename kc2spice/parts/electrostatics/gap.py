@@ -13,16 +13,17 @@ patch (:mod:`kc2spice.parts.mechanics._mechanical_stop`).
 The gas film is a rectangle of length l and width w that is vented on all sides (J. J. Blech, J.
 Lubr. Technol. 105 (1983) 615). The pressure of the gas film is a series of the terms ``sin(m pi x /
 l) sin(n pi y / w)`` with odd m and n. Each term of the series is modelled as a damper c in series
-with a spring k, which represents the trapped gas. The displacement of a term is the weighted sum of
-the patch displacements. The weight of a patch is its contribution to the term::
-
-    S = 4 l w / (pi^2 m n)     q^2 = pi^2 (m^2 / l^2 + n^2 / w^2)
-    c = 48 viscosity S^2 / (q^2 gap^3 l w)     k = 4 pressure S^2 / (gap l w)
+with a spring k, which represents the trapped gas. The displacement that acts on the damper and
+spring of a series term is a weighted sum of the patch displacements. For term (m, n), the weight of
+a patch is the patch's share of the integral of ``sin(m pi x / l)`` over the length of the film.
+Term (m, n) has the damper ``c = 48 * viscosity * S^2 / (q^2 * gap^3 * l * w)`` and the spring ``k =
+4 * pressure * S^2 / (gap * l * w)``. The integral of term (m, n) over the gas film is ``S = 4 l w /
+(pi^2 m n)``. The squared wave number of term (m, n) is ``q^2 = pi^2 (m^2 / l^2 + n^2 / w^2)``.
 
 Only the ``branches`` largest terms have a spring. All other terms together form a single damper. By
-default, the number of terms with a spring keeps the errors of damping and force within a tolerance
-up to the highest frequency of the scene. All dampers increase in proportion to ``(gap / mean d)^3``
-when the gap closes.
+default, ``branches`` is chosen so that the errors of damping and force are within a tolerance up to
+the highest frequency of the scene. All dampers increase in proportion to ``(gap / mean d)^3`` when
+the gap closes.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from kc2spice.core import laws
+from kc2spice.core import constitutive_laws as laws
 from kc2spice.core.domains import HEAT
 from kc2spice.core.errors import UsageError
 from kc2spice.core.naming import list_names
@@ -58,7 +59,9 @@ from kc2spice.physics import Declaration, DeclaredPart, displacement, voltage
 from kc2spice.physics.symbolic_algebra import evaluate_tree
 from kc2spice.scene.checks import Check, Gate, Metric, RunEnergyBalance
 from kc2spice.scene.highest_frequency import find_highest_frequency
-from kc2spice.scene.model import (
+from kc2spice.scene.part_records import PartResult
+from kc2spice.scene.parttype import register_part_type
+from kc2spice.scene.scene_classes import (
     BuiltScene,
     DeclaredScene,
     GovernedScene,
@@ -68,11 +71,10 @@ from kc2spice.scene.model import (
     Scene,
     Terminal,
 )
-from kc2spice.scene.part_records import PartResult
-from kc2spice.scene.parttype import register_part_type
 
 PATCH_PREFIX = "patch"  # prefix of the names of ports that form a row of patches
-# Relative error of force divided by displacement, due to the iterations of an operating point.
+# Relative error of the ratio force / displacement due to the iterations for an operating point.
+# Damping that is smaller than this error counts as zero.
 ITERATION_ROUNDING = 1e-9
 # Largest relative change of the capacitance that counts as zero.
 # This change of the capacitance is far above the rounding errors of ngspice.
@@ -82,7 +84,8 @@ MAX_SERIES_INDEX = 99
 # factor on the number of film branches for the model of ``verify``
 REFINEMENT_RATIO = 2
 # Smallest and largest number of film branches.
-# The smallest number of film branches exceeds 1, because the motion can be faster than the drive.
+# At least 3 film branches are modelled, because the motion can contain higher frequencies than the
+# drive.
 MIN_BRANCHES = 3
 MAX_BRANCHES = 100
 
@@ -90,9 +93,11 @@ MAX_BRANCHES = 100
 class FringingKeys(Section):
     """Keys of the fringing field between a strip and a plane."""
 
-    width: Length = Field(gt=0, description="Width of the strip whose fringing field is modelled")
+    width: Length = Field(
+        gt=0, description="Width of the strip-shaped body whose fringing field is modelled"
+    )
     thickness: Length = Field(
-        gt=0, description="Thickness of the strip whose fringing field is modelled"
+        gt=0, description="Thickness of the strip-shaped body whose fringing field is modelled"
     )
 
 
@@ -126,8 +131,8 @@ class SqueezeFilmKeys(Section):
         gt=1e-6,
         lt=0.5,
         description=(
-            "Largest permitted relative error of the film force due to the truncated "
-            "series, at the highest frequency of the scene"
+            "Largest permitted relative error of the gas film's force at the highest frequency of "
+            "the scene; determines the number of terms in the series for this force"
         ),
     )
 
@@ -147,7 +152,7 @@ class GapKeys(_mechanical_stop.StopKeys):
         ),
     )
     area: Annotated[float, si("m2")] = Field(
-        gt=0, description="Area of the fixed electrode, summed over all patches of the body"
+        gt=0, description="Area of the fixed electrode that faces the body, summed over all patches"
     )
     gap: Length = Field(
         gt=0, description="Width of the gap between body and electrode at rest, without voltage"
@@ -174,8 +179,8 @@ class GapKeys(_mechanical_stop.StopKeys):
     fringing: FringingKeys | None = Field(
         None,
         description=(
-            "Strip whose fringing field is modelled, as a table of its dimensions; by "
-            "default the fringing field is neglected"
+            "Table with the width and thickness of a strip-shaped body whose fringing field is "
+            "modelled; by default the fringing field is neglected"
         ),
     )
     film: SqueezeFilmKeys | None = Field(
@@ -222,15 +227,15 @@ class Gap(PatchedPart[GapKeys]):
     def build(
         self, part: Part[GapKeys], scene: Scene, clock: StageTimer, full: bool = False
     ) -> int | None:
-        """Return the number of gas-film branches of a reference model; otherwise None.
+        """Return the number of gas-film branches of the full model, or None.
 
-        The result is None for the model of the netlist. With ``full``, the gas film of the
-        reference model has :data:`REFINEMENT_RATIO` times as many branches as in the netlist.
+        If ``full`` is true, the gas film has :data:`REFINEMENT_RATIO` times as many branches as in
+        the netlist. If ``full`` is false or the gap has no gas film, the result is None.
         """
         return REFINEMENT_RATIO * count_film_branches(part, scene) or None if full else None
 
     def law(self, part: Part[GapKeys], build: BuiltScene) -> laws.Equations:
-        """Return the part's model equations, which are solved without a simulator.
+        """Return the part's law: its model equations, solved by kc2spice without ngspice.
 
         The equations have the same pins as the netlist. A reference model with more film branches
         has additional pins, which are omitted.
@@ -355,13 +360,13 @@ def list_patch_ports(part: Part, scene: DeclaredScene) -> tuple[str, ...]:
             f"{name} has no patches",
             got=repr(name),
             expected="a body with patches, or ports",
-            hint="add  patches = 10  to the body, or list its ports in the key a",
+            hint="add  patches = 10  to the body, or list its ports in the key `a`",
         )
     return tuple(f"{name}.{port}" for port in row)
 
 
 def count_film_branches(part: Part[GapKeys], scene: GovernedScene) -> int:
-    """Return how many terms of the gas-film series have a spring; 0 without a film."""
+    """Count the spring branches of the gas-film model; the count is 0 without a film."""
     keys = part.keys
     if keys.film is None:
         return 0
@@ -378,12 +383,13 @@ def count_film_branches(part: Part[GapKeys], scene: GovernedScene) -> int:
 def compute_truncation_error(
     film: SqueezeFilmKeys, gap: float, branches: int, frequency: float
 ) -> float:
-    """Return the error of the gas-film series if only ``branches`` terms have springs.
+    """Return the truncation error of a gas-film series with ``branches`` springs.
 
-    The result is the larger of the relative errors of damping and force at ``frequency`` [Hz]. For
-    each term of the film series, force divided by displacement is ``z = j w c / (1 + j w c / k)``,
-    or ``j w c`` without a spring. c is the damper, k the spring and w the angular frequency. The
-    damping is proportional to the imaginary part of z.
+    In the circuit, each of the first ``branches`` terms of the film series is a damper in series
+    with a spring. The result is the larger of the relative errors of damping and force at
+    ``frequency`` [Hz]. For each term of the film series, force divided by displacement is ``z = j w
+    c / (1 + j w c / k)``, or ``j w c`` without a spring. c is the damper, k the spring and w the
+    angular frequency. The damping is proportional to the imaginary part of z.
     """
     if not frequency:
         return 0.0
@@ -406,8 +412,8 @@ def _list_patch_waves(part: Part[GapKeys], word: str, waves: Waveforms) -> list[
 def _check_film(part: Part[GapKeys], build: BuiltScene, waves: Waveforms) -> Iterator[Check | Gate]:
     """Yield checks of the gas film's error at the highest frequency of a run.
 
-    In a transient, frequencies below the highest frequency contain 99.9 % of the energy of the
-    patch velocities.
+    In a transient, the highest frequency is the frequency below which the patch velocities have
+    99.9 % of their energy.
     """
     film, frequency = part.keys.film, 0.0
     if film is None:
@@ -436,7 +442,8 @@ def _declare_gap(text: str, count: int, film_branches: int, top: float) -> Decla
     """Return the declaration of an electrostatic gap with ``count`` patches.
 
     The series of the gas film has ``film_branches`` terms with a spring. ``text`` contains the keys
-    of the gap as a JSON string. The terms with a spring resolve frequencies up to ``top`` [Hz].
+    of the gap as a JSON string. The list of neglected effects states the error of the gas-film
+    series at the frequency ``top`` [Hz].
     """
     keys = GapKeys.model_validate_json(text)
     shares = keys.shares or (1 / count,) * count
@@ -452,7 +459,8 @@ def _declare_gap(text: str, count: int, film_branches: int, top: float) -> Decla
         # A divisor in metres would be inaccurate, because ngspice adds 1e-32 to every divisor.
         gap = f"(1 - {sign}1*x{k}/gap)"
         capacitance = f"share{k}*area/gap/{gap}"
-        # The gap has a lower limit, because the argument of a root must not be negative.
+        # With fringing, the capacitance contains square roots of the inverse gap.
+        # A lower limit of the gap prevents negative arguments of these square roots.
         if keys.fringing is not None:
             gap = f"(least + max(0, {gap[1:-1]} - least))"
             roots = f"1.06*sqrt(sqrt(width/gap/{gap})) + 1.06*sqrt(thickness/gap/{gap})"
@@ -504,9 +512,9 @@ def _list_neglected_effects(
 ) -> Iterator[tuple[str, str, str]]:
     """Yield the neglected effects of a gap model, each with its reason and size."""
     if keys.fringing is None:
-        yield "fringing field", "no key fringing", "of the order of gap / width"
+        yield "fringing field", "no key `fringing`", "of the order of gap / width"
     if keys.film is None:
-        yield "squeezed gas", "no key film", "not estimated"
+        yield "squeezed gas", "no key `film`", "not estimated"
     else:
         error = compute_truncation_error(keys.film, keys.gap, branches, top)
         what, size = f"the springs of all but {branches} terms of the film's series", "none at rest"
@@ -544,11 +552,12 @@ def _compute_series_terms(film: SqueezeFilmKeys) -> tuple[np.ndarray, np.ndarray
 def _split_series(
     film: SqueezeFilmKeys, count: int, branches: int
 ) -> tuple[list[tuple[float, float, np.ndarray]], float]:
-    """Return the gas-film terms with springs, and one damper for the other terms.
+    """Return the largest gas-film terms, and one damper for all smaller terms.
 
-    The second value is the sum of the dampers of all other terms. Each term contains the damper
-    times gap^3, the spring times gap, and the contribution of each patch to the displacement of the
-    term.
+    The first returned value is a list of the ``branches`` series terms with the largest dampers.
+    The second returned value is the sum of the dampers of all series terms that are not in the
+    returned list. Each term contains the damper times gap^3, the spring times gap, and the
+    contribution of each patch to the displacement of the term.
     """
     dampers, springs, orders = _compute_series_terms(film)
     edges = np.linspace(0, 1, count + 1)

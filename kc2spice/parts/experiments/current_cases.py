@@ -1,6 +1,7 @@
 """The part ``current_cases``: force of two coils on a sphere versus its height.
 
-Fig. 6 of the paper shows the force. The force is computed for every pair of currents from a list.
+Fig. 6 of Schütz, Maeter and Bechtold, Actuators 10 (2021) 279, shows the force. The force is
+computed for every pair of currents from a list.
 """
 
 from __future__ import annotations
@@ -11,19 +12,21 @@ from itertools import product
 import numpy as np
 from pydantic import Field
 
-from kc2spice.core import laws
+from kc2spice.core import constitutive_laws as laws
 from kc2spice.core.domains import DISPLACEMENT, TRANSLATION
 from kc2spice.core.magnets import MagnetostaticTable
 from kc2spice.core.quantities import Current, Section
 from kc2spice.core.waveforms import Waveforms, make_constant_waveform
 from kc2spice.netlist.circuit import Element, Item
+from kc2spice.netlist.number_and_name_spelling import format_number
 from kc2spice.netlist.shared_cards import Line, attach_comments
-from kc2spice.netlist.spelling import format_number
 from kc2spice.parts.magnetics.ring_magnet_coils import RingMagnetCoilsKeys
 from kc2spice.parts.mechanics.sphere import find_sphere
 from kc2spice.physics import coils
 from kc2spice.scene.checks import SOLUTION_PAIRS, Check, Gate, Metric
-from kc2spice.scene.model import (
+from kc2spice.scene.part_records import Governed, PartResult, SweptSource
+from kc2spice.scene.parttype import register_part_type
+from kc2spice.scene.scene_classes import (
     GROUND,
     BuiltScene,
     DeclaredScene,
@@ -34,8 +37,6 @@ from kc2spice.scene.model import (
     Terminal,
     WiredScene,
 )
-from kc2spice.scene.part_records import Governed, PartResult, SweptSource
-from kc2spice.scene.parttype import register_part_type
 
 # number of heights at which the force is computed: five for each segment of the table
 LOOKUP_HEIGHTS = 2001
@@ -52,8 +53,8 @@ class CurrentCasesKeys(Section):
         min_length=1,
         max_length=1000,
         description=(
-            "Currents that each of the two coils carries in turn; the force is computed for "
-            "every pair of currents"
+            "List of coil currents. The force is computed for every combination of one listed "
+            "current in the lower coil and one listed current in the upper coil"
         ),
     )
 
@@ -84,7 +85,7 @@ class CurrentCases(PartType[CurrentCasesKeys]):
     def governed_parts(
         self, part: Part[CurrentCasesKeys], scene: DeclaredScene
     ) -> Mapping[str, Governed]:
-        """Return how this part governs others: it moves the sphere and copies the coils."""
+        """Return the governed parts: the sphere, which is moved, and the copied coils."""
         return {_find_sphere(part, scene): "moved", _find_coils(part, scene).name: "copied"}
 
     def cards(self, part: Part[CurrentCasesKeys], build: BuiltScene) -> tuple[Item, ...]:
@@ -110,7 +111,7 @@ class CurrentCases(PartType[CurrentCasesKeys]):
     def list_inner_names(
         self, part: Part[CurrentCasesKeys], scene: WiredScene
     ) -> Iterator[tuple[str, ...]]:
-        """Yield the netlist names of nodes and elements for each pair of coil currents."""
+        """Yield the names of inner nodes and elements, one set per pair of coil currents."""
         yield ("Vheight",)
         words = "lower", "upper", "force", "Xcatch", "Ilower", "Iupper", "Vforce"
         for k, word in product(range(len(list_current_pairs(part))), words):
@@ -119,7 +120,7 @@ class CurrentCases(PartType[CurrentCasesKeys]):
     def settable_quantities(
         self, part: Part[CurrentCasesKeys], build: BuiltScene
     ) -> Mapping[str, SweptSource]:
-        """Return the source of the sphere's height, whose value the dc sweep sets."""
+        """Return the settable source of the sphere's height, which a dc sweep varies."""
         keys = _find_coils(part, build.scene).keys
         heights = keys.y_min + keys.shift, keys.y_max + keys.shift
         return {
@@ -150,7 +151,7 @@ class CurrentCases(PartType[CurrentCasesKeys]):
         }
 
     def law(self, part: Part[CurrentCasesKeys], build: BuiltScene) -> laws.Equations:
-        """Return the model equations of the coils, with a copy for each current pair.
+        """Return the model equations of the coils, repeated for each pair of currents.
 
         A source prescribes the height of the sphere on which the coils act.
         """
@@ -159,7 +160,7 @@ class CurrentCases(PartType[CurrentCasesKeys]):
         result: list[laws.Law] = [laws.IdealSource(n, "displacement", make_constant_waveform(0.0))]
         results = {f"{pulled}.y": laws.scale_wave(f"{n}.out")}
         for k, force in enumerate(_list_force_names(part, build)):
-            case = f"{fed.name} {k}"  # unique name, because part names contain no spaces
+            case = f"{fed.name} {k}"  # with a space, the name differs from all part names
             lower, upper = list_current_pairs(part)[k]
             declared = coils.declare_prescribed_currents()
             result.append(coils.make_law(case, declared, table, lower=lower, upper=upper))
@@ -171,10 +172,11 @@ class CurrentCases(PartType[CurrentCasesKeys]):
     def checks(
         self, part: Part[CurrentCasesKeys], build: BuiltScene, waves: Waveforms
     ) -> Iterator[Check | Gate]:
-        """Yield the check of the force table's slope, and the limits of force errors.
+        """Yield checks of the force table: jumps of its slope, and errors of the force.
 
-        The check limits the jumps of the slope between segments of the table. The sweep has several
-        heights in each segment, so that the forces contain each jump in full.
+        The check limits the jumps of the slope between segments of the table. Each segment of the
+        force table contains several heights of the sweep. Therefore, the slope before a jump is
+        computed in one segment, and the slope after the jump in the next segment.
         """
         forces = _read_recorded_forces(part, build, waves)
         slope = np.diff(forces, axis=1) / np.diff(waves[f"{_find_sphere(part, build.scene)}.y"])

@@ -1,6 +1,7 @@
 """The part ``port_loads``: frequency responses between all ports of a body.
 
-The deck contains one copy of the body for each loaded port (Fig. 7 of the paper).
+The deck contains one copy of the body for each loaded port. Source: Fig. 7 of Schütz, Maeter and
+Bechtold, Actuators 10 (2021) 279.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from kc2spice.core import laws
+from kc2spice.core import constitutive_laws as laws
 from kc2spice.core.domains import BASE, DISPLACEMENT, TRANSLATION
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel
@@ -27,7 +28,9 @@ from kc2spice.netlist.shared_cards import Line, attach_comments
 from kc2spice.parts.bodies.piezo_stack import PiezoStackKeys
 from kc2spice.parts.electronics.two_terminal_types import make_element_law
 from kc2spice.scene.checks import SOLUTION_PAIRS, Gate, Metric
-from kc2spice.scene.model import (
+from kc2spice.scene.part_records import Governed, PartResult
+from kc2spice.scene.parttype import register_part_type
+from kc2spice.scene.scene_classes import (
     BuiltScene,
     DeclaredScene,
     GovernedScene,
@@ -36,11 +39,10 @@ from kc2spice.scene.model import (
     Scene,
     WiredScene,
 )
-from kc2spice.scene.part_records import Governed, PartResult
-from kc2spice.scene.parttype import register_part_type
 
-# Capacitance [F] in series with a voltage source of 1 C / CHARGE_CAPACITANCE.
-# At any voltage of the anode, the charge of the capacitance is one coulomb.
+# Capacitance [F] in series with a source of 1 C / CHARGE_CAPACITANCE = 1e24 V, which together apply
+# a charge of 1 C to the anode. The anode voltage is negligible against 1e24 V, so that the applied
+# charge is constant.
 CHARGE_CAPACITANCE = 1e-24
 
 
@@ -50,18 +52,18 @@ class PortLoadsKeys(Section):
     start: Frequency = Field(
         0.0,
         ge=0,
-        description="Lower end of the frequency range of the responses to the unit loads",
+        description="Lowest frequency of the responses to unit loads on the ports of the body",
     )
     stop: Frequency = Field(
         500e3,
         gt=0,
-        description="Upper end of the frequency range of the responses to the unit loads",
+        description="Highest frequency of the responses to unit loads on the ports of the body",
     )
     steps: Annotated[Count, RefinementRule(2.0)] = Field(
         200,
         ge=2,
         le=100_000,
-        description="Number of frequencies at which the responses to the unit loads are computed",
+        description="Number of frequencies at which the responses to unit loads are computed",
     )
     of: str | None = Field(
         None,
@@ -107,7 +109,7 @@ class PortLoads(PartType[PortLoadsKeys]):
     def governed_parts(
         self, part: Part[PortLoadsKeys], scene: DeclaredScene
     ) -> Mapping[str, Governed]:
-        """Return how this part governs others: it copies the body for each loaded port."""
+        """Return the governed part: the body, which is copied for each loaded port."""
         return {find_loaded_body(part, scene).name: "copied"}
 
     def cards(self, part: Part[PortLoadsKeys], build: BuiltScene) -> tuple[Item, ...]:
@@ -193,7 +195,7 @@ class PortLoads(PartType[PortLoadsKeys]):
     def checks(
         self, part: Part[PortLoadsKeys], build: BuiltScene, waves: Waveforms
     ) -> Iterator[Gate]:
-        """Yield the error limits of the responses to the unit loads.
+        """Yield the checks that limit the errors of the responses to unit loads.
 
         The permitted errors include the tolerance of the model reduction.
         """
@@ -210,7 +212,7 @@ class PortLoads(PartType[PortLoadsKeys]):
     def figures(
         self, part: Part[PortLoadsKeys], build: BuiltScene, waves: Waveforms
     ) -> Iterator[Figure]:
-        """Yield the charts of the part for the report."""
+        """Yield the figures of the part for the report."""
         f = waves["frequency"].real / 1e3
         rings = _list_loaded_rings(find_loaded_body(part, build.scene), build.scene)
         curves = tuple(Curve(ring, f, np.abs(waves[f"{ring}>{ring}"])) for ring in rings)
@@ -237,7 +239,7 @@ class PortLoads(PartType[PortLoadsKeys]):
         results: dict[str, laws.WaveCombination] = {}
         still = make_constant_waveform(0.0)
         for load in (*rings, "anode"):
-            name = f"{body.name} {load}"  # unique name, because part names contain no spaces
+            name = f"{body.name} {load}"  # with a space, the name differs from all part names
             result.append(replace(law, name=name))
             volts = laws.IdealSource(f"{name}_volts", "voltage", still, float(load == "anode"))
             if load != "anode":
@@ -272,12 +274,14 @@ def find_loaded_body(part: Part[PortLoadsKeys], scene: DeclaredScene) -> Part[Pi
     UsageError : the key ``of`` is missing and the scene does not have exactly one body, or the body
         has no contact rings.
     """
+    stacks = [other.name for other in scene.list_parts("piezo_stack")]
     if part.keys.of is not None:
         body = scene.get_part(part.keys.of, f"{part.name}.of")
         if not isinstance(body.keys, PiezoStackKeys):
-            stacks = [other.name for other in scene.list_parts("piezo_stack")]
             hint = (
-                f'write  of = "{stacks[0]}"' if stacks else "add [kick]; an empty table is enough"
+                f'write  of = "{stacks[0]}"'
+                if stacks
+                else 'add the table [kick], which defines a piezo_stack, and write  of = "kick"'
             )
             raise part.wrong(
                 "of",
@@ -295,13 +299,15 @@ def find_loaded_body(part: Part[PortLoadsKeys], scene: DeclaredScene) -> Part[Pi
             f"{part.name} does not state which piezo_stack it loads",
             got=got,
             expected="the name of a part of type piezo_stack",
-            hint="add [kick]; an empty table is enough",
+            hint=f'write  of = "{stacks[0]}"'
+            if stacks
+            else 'add the table [kick], which defines a piezo_stack, and write  of = "kick"',
         )
     return result[0].with_schema(PiezoStackKeys)
 
 
 def _list_loaded_rings(body: Part, scene: WiredScene) -> tuple[str, ...]:
-    """Return the names of the contact rings of ``body``, which carry the unit loads."""
+    """Return the names of the loaded rings of nodes on ``body``, which act as ports."""
     pins = scene.pins(body.name)
     return tuple(pin.name for pin in pins if pin.unit == DISPLACEMENT.pin_unit and pin.name != BASE)
 

@@ -1,7 +1,7 @@
 """The part ``push``: sphere that is pushed slowly into a body.
 
-Fig. 8 of the paper shows the experiment. The result is the contact force as a function of the
-depth.
+Fig. 8 of Schütz, Maeter and Bechtold, Actuators 10 (2021) 279, shows the experiment. The result is
+the contact force as a function of the depth.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from dataclasses import replace
 
 from pydantic import Field
 
-from kc2spice.core import laws
+from kc2spice.core import constitutive_laws as laws
 from kc2spice.core.domains import DISPLACEMENT, TRANSLATION
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Count, Length, Section
@@ -26,7 +26,9 @@ from kc2spice.parts.mechanics._contact_surfaces import (
 )
 from kc2spice.parts.mechanics.sphere import find_sphere
 from kc2spice.scene.checks import Gate, Measure, Metric
-from kc2spice.scene.model import (
+from kc2spice.scene.part_records import Governed, NumericalRequirements, PartResult, SweptSource
+from kc2spice.scene.parttype import register_part_type
+from kc2spice.scene.scene_classes import (
     GROUND,
     BuiltScene,
     DeclaredScene,
@@ -37,8 +39,6 @@ from kc2spice.scene.model import (
     Terminal,
     WiredScene,
 )
-from kc2spice.scene.part_records import Governed, NumericalRequirements, PartResult, SweptSource
-from kc2spice.scene.parttype import register_part_type
 
 
 class PushKeys(Section):
@@ -83,9 +83,9 @@ class Push(TouchablePart[PushKeys]):
         return bottom, Terminal.make_rate_pin("v", TRANSLATION, GROUND)
 
     def governed_parts(self, part: Part[PushKeys], scene: DeclaredScene) -> Mapping[str, Governed]:
-        """Return ``"moved"`` for the sphere, keyed by the name of the sphere.
+        """Return the governed part: the sphere, which this part moves.
 
-        This part prescribes the position of the sphere.
+        The value for the sphere is ``"moved"``.
         """
         return {find_sphere(part, scene).name: "moved"}
 
@@ -128,7 +128,7 @@ class Push(TouchablePart[PushKeys]):
         return {f"{part.name}.depth": replace(bottom, factor=-bottom.factor)}
 
     def numerics(self, part: Part[PushKeys], scene: WiredScene) -> Iterator[NumericalRequirements]:
-        """Yield tolerance requirements, so that the closing of contact rings is resolved."""
+        """Yield requirements on tolerances, to resolve the closing of each contact ring."""
         last = "1e-09", "the law is piecewise linear, so the last iteration is exact"
         if _find_contact(part, scene).keys.shape == "pressure":
             last = "1e-12", "the law is curved, and this is the error of the last iteration"
@@ -155,8 +155,9 @@ class Push(TouchablePart[PushKeys]):
         """Yield the checks of the part after a run."""
         pair, gates = _find_contact(part, build.scene), build.scene.gates
         # At the first depths, only one basis function carries the contact force.
-        # A single basis function is inaccurate, so all errors are relative to the largest force.
-        # The permitted error against the full model is the error of the pressure basis.
+        # The force of a single basis function is inaccurate, so force errors are divided by the
+        # largest force.
+        # Differences from the full model may be as large as the error of the pressure basis.
         law = pair.estimate_basis_error()
         limits = {
             "rom_vs_fom": max(gates.imprint_rom, law),
@@ -167,7 +168,7 @@ class Push(TouchablePart[PushKeys]):
         yield Gate("static force", f"{pair.part.name}.force", limits, measure, is_main=True)
 
     def law(self, part: Part[PushKeys], build: BuiltScene) -> laws.Equations:
-        """Return the part's model equations, which are solved without a simulator."""
+        """Return the part's law: its model equations, solved by kc2spice without ngspice."""
         n = part.name
         source = laws.IdealSource(n, "displacement", make_constant_waveform(0.0))
         results = {f"{n}.depth": laws.scale_wave(f"{n}.out", -1.0)}

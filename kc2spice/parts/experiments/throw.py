@@ -1,7 +1,7 @@
 """The part ``throw``: a sphere that hits a body.
 
-The experiment is described in section 2.2.2 and Fig. 9 of the paper. The part sets the motion of
-the sphere at t = 0, and computes the metrics of the impact.
+Section 2.2.2 and Fig. 9 of Schütz, Maeter and Bechtold, Actuators 10 (2021) 279, describe the
+experiment. The part sets the motion of the sphere at t = 0, and computes the metrics of the impact.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 from pydantic import Field
 
-from kc2spice.core import laws
+from kc2spice.core import constitutive_laws as laws
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Length, Section, Velocity
 from kc2spice.core.si_prefix_format import format_quantity
@@ -21,7 +21,9 @@ from kc2spice.netlist.circuit import Item
 from kc2spice.parts.mechanics import _contact_surfaces
 from kc2spice.parts.mechanics.sphere import find_sphere
 from kc2spice.scene.checks import SOLUTION_PAIRS, Gate, Metric
-from kc2spice.scene.model import (
+from kc2spice.scene.part_records import InitialState, NumericalRequirements
+from kc2spice.scene.parttype import register_part_type
+from kc2spice.scene.scene_classes import (
     BuiltScene,
     DeclaredScene,
     GovernedScene,
@@ -29,8 +31,6 @@ from kc2spice.scene.model import (
     Scene,
     WiredScene,
 )
-from kc2spice.scene.part_records import InitialState, NumericalRequirements
-from kc2spice.scene.parttype import register_part_type
 
 
 class ThrowKeys(Section):
@@ -75,7 +75,7 @@ class Throw(_contact_surfaces.TouchablePart[ThrowKeys]):
     def governed_parts(
         self, part: Part[ThrowKeys], scene: DeclaredScene
     ) -> Mapping[str, InitialState]:
-        """Return the initial state that this part gives the sphere: velocity and gap."""
+        """Return the governed part: the sphere, with its initial velocity and gap."""
         return {find_sphere(part, scene).name: InitialState(part.keys.velocity, part.keys.gap)}
 
     def numerics(self, part: Part[ThrowKeys], scene: WiredScene) -> Iterator[NumericalRequirements]:
@@ -99,8 +99,8 @@ class Throw(_contact_surfaces.TouchablePart[ThrowKeys]):
     ) -> Mapping[str, object]:
         """Return the metrics of the impact.
 
-        Positions are relative to the height of first contact. The force is the force on one
-        symmetry sector.
+        Positions are relative to the height of first contact. The metric ``max_force_n`` is the
+        largest contact force on one symmetry sector of the body, not on the complete body.
         """
         pair = _contact_surfaces.find_single_contact(build.scene)
         if pair is None or "time" not in waves:

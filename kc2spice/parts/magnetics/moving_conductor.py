@@ -21,7 +21,7 @@ from typing_extensions import TypeVar
 from kc2spice.core.cache import load_or_build
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel, Shape
-from kc2spice.core.mesh_error import describe_mesh_errors
+from kc2spice.core.mesh_error_descriptions import describe_mesh_errors
 from kc2spice.core.progress import StageTimer
 from kc2spice.core.quantities import (
     MU_0,
@@ -55,23 +55,24 @@ from kc2spice.physics.declaration import Branch
 from kc2spice.physics.part import list_newton_numerics
 from kc2spice.scene.checks import Check, Gate, Metric, RunEnergyBalance
 from kc2spice.scene.highest_frequency import find_highest_frequency
-from kc2spice.scene.model import (
+from kc2spice.scene.part_records import NeglectedEffect, NumericalRequirements
+from kc2spice.scene.parttype import register_part_type
+from kc2spice.scene.scene_classes import (
     BuiltScene,
     GovernedScene,
     Part,
     Scene,
     WiredScene,
 )
-from kc2spice.scene.part_records import NeglectedEffect, NumericalRequirements
-from kc2spice.scene.parttype import register_part_type
 
 Conductivity = Annotated[float, si("1/(Ohm m)")]
 LOOP_SOURCES = ("kc2spice.fem.magnet_rings", __name__)
 # tolerance of the full model, divided by the tolerance of the reduced model
 TOLERANCE_RATIO = 0.1
 MIN_TURN_SHARE = 0.05  # smallest height change between two turning points, as fraction of the range
-MAX_TURNS = 5  # largest number of turning points among the metrics
-# Factor from the reduced to the full model, for the number of rings and for the highest frequency.
+MAX_TURNS = 5  # largest number of turning points that are reported as metrics
+# The full model has twice as many rings as the reduced model.
+# The full model resolves twice the highest frequency of the reduced model.
 REFINEMENT_RATIO = 2
 # description of the method that computes couplings without rings
 CIRCLE_METHOD = "closed form of coaxial circles"
@@ -83,7 +84,9 @@ MAX_FREQUENCY_RATIO = 2.0
 # Fraction of a coil current's energy at frequencies below the highest frequency of a run.
 # The fraction is less than 1, because a short sine also has energy above its frequency.
 CURRENT_ENERGY_SHARE = 0.99
-MAX_RING_ERROR = 0.02  # largest relative error of flux, force and loss due to the rings
+# Largest permitted relative error of flux, force and loss due to the division of the conductor into
+# rings.
+MAX_RING_ERROR = 0.02
 # Largest permitted change of a magnet's path in ``verify``, relative to the path.
 # The full model of ``verify`` has a ten times smaller tolerance for the magnet's field.
 MAX_PATH_CHANGE = 1e-3
@@ -101,7 +104,12 @@ class CoilKeys(Section):
     height: Length = Field(
         gt=0, description="Axial height of the cross-section of the coil's winding"
     )
-    y: Length = Field(description="Height of the centre of the coil's winding")
+    y: Length = Field(
+        description=(
+            "Height of the centre of the coil's winding, with the same zero as the moving body's "
+            "height"
+        )
+    )
     turns: Ratio = Field(examples=["100"], gt=0, description="Number of turns of the coil")
     resistance: Resistance = Field(gt=0, description="Electrical resistance of the coil's wire")
 
@@ -154,12 +162,14 @@ class MovingBodyKeys(ConductorKeys):
     )
     y_min: Length = Field(
         description=(
-            "Lowest height of the moving body's centre of mass for which the model is valid"
+            "Lowest height of the moving body's centre of mass for which the model is valid, "
+            "with the same freely chosen zero as the heights of coils and magnets"
         )
     )
     y_max: Length = Field(
         description=(
-            "Greatest height of the moving body's centre of mass for which the model is valid"
+            "Greatest height of the moving body's centre of mass for which the model is valid, "
+            "with the same freely chosen zero as the heights of coils and magnets"
         )
     )
     tolerance: Annotated[Ratio, RefinementRule(0.1, model=True)] = Field(
@@ -167,8 +177,8 @@ class MovingBodyKeys(ConductorKeys):
         gt=1e-8,
         lt=0.1,
         description=(
-            "Largest permitted relative error of flux and force; determines the number of "
-            "current loops"
+            "Largest permitted relative error of flux and force; determines the number of current "
+            "loops that represent the eddy currents in the moving body"
         ),
     )
 
@@ -228,8 +238,8 @@ def _declare_body(
 ) -> Declaration:
     """Return the declaration of a moving body from its branches and expressions.
 
-    ``low`` and ``high`` are expressions that are positive within the range of heights, and
-    ``reach`` describes the validity of the currents.
+    ``low`` and ``high`` are expressions that are positive within the range of heights. The text
+    ``reach`` states up to which frequency the currents of the current loops are valid.
     """
     limits = {"y above y_min": low, "y below y_max": high} if low else {}
     return Declaration(
@@ -289,12 +299,13 @@ MovingT = TypeVar("MovingT", bound=MovingBodyKeys, default=MovingBodyKeys)
 class MovingBody(DeclaredPart[MovingT]):
     """Base class of bodies that move in the field of coils and magnets."""
 
-    results_of_model = True  # the model determines the number of loops
+    # Each current loop of the built model has a result, so the result names depend on the model.
+    results_of_model = True
     parameters: ClassVar[type[Section]]
     rating: ClassVar[str]
 
     def numerics(self, part: Part[MovingT], scene: WiredScene) -> Iterator[NumericalRequirements]:
-        """Return the smaller Newton tolerance that the analyses ``dc`` and ``op`` need."""
+        """Yield the Newton tolerance for ``dc`` and ``op``, smaller than the default."""
         return list_newton_numerics(part, scene)
 
     def make_declaration(self, part: Part[MovingT], scene: GovernedScene) -> Declaration:
@@ -349,7 +360,7 @@ class MovingBody(DeclaredPart[MovingT]):
                     f"coils.{name}.width",
                     "the winding crosses the axis",
                     got=f"{coil.width:g} m",
-                    expected=f"less than twice the radius, {coil.radius:g}",
+                    expected=f"less than {2 * coil.radius:g} m, twice the mean radius",
                 )
         obstacles = []
         for name, winding in zip(keys.coils, make_windings(keys), strict=True):
@@ -392,8 +403,9 @@ class MovingBody(DeclaredPart[MovingT]):
     ) -> LoopModel:
         """Build or load the current loops of the body and their couplings to the coils.
 
-        The ``full`` model has more loops and rings, and resolves twice the highest frequency. The
-        couplings of the full model are also more accurate.
+        The ``full`` model has more loops and rings, and resolves twice the highest frequency. A
+        smaller tolerance makes the couplings of the full model more accurate than in the reduced
+        model.
         """
         keys, frequency = part.keys, self.find_resolved_frequency(part, scene)
         tolerance = (TOLERANCE_RATIO if full else 1.0) * keys.tolerance
@@ -419,7 +431,7 @@ class MovingBody(DeclaredPart[MovingT]):
         sources = (*LOOP_SOURCES, type(self).__module__)
         try:
             return load_or_build(self.name, key, build, classes=(LoopModel,), sources=sources)
-        except UsageError as error:  # the cause is the range of heights
+        except UsageError as error:  # the fit over the range of heights failed
             details = str(error.message), error.got, error.expected, error.hint
             raise part.wrong("y_max", *details) from None
 
@@ -466,7 +478,7 @@ class MovingBody(DeclaredPart[MovingT]):
         yield from super().checks(part, build, waves)
 
     def figures(self, part: Part[MovingT], build: BuiltScene, waves: Waveforms) -> Iterator[Figure]:
-        """Yield the charts of the part for the report."""
+        """Yield the figures of the part for the report."""
         y = waves.data.get(f"{part.name}.y")
         if y is not None and "time" in waves:
             path = Curve(part.name, 1e3 * waves["time"], 1e3 * y)
@@ -491,7 +503,8 @@ class MovingBody(DeclaredPart[MovingT]):
     def shape_problems(self, part: Part[MovingT]) -> Iterator[UsageError]:
         """Yield an error for each key that does not apply to the body's shape.
 
-        By default, there are no errors.
+        The method of the base class yields no errors; subclasses override the method to check their
+        keys.
         """
         return iter(())
 
@@ -540,7 +553,7 @@ class MovingConductor(MovingBody[MovingConductorKeys]):
                 "inner and thickness do not apply to a sphere",
                 got=f"inner {keys.inner:g} m, thickness {keys.thickness}",
                 expected="a sphere without these keys",
-                hint='write  shape = "disc"  or delete inner and thickness',
+                hint='write  shape = "disc"  or delete the keys `inner` and `thickness`',
             )
 
     def find_resolved_frequency(self, part: Part[MovingConductorKeys], scene: Scene) -> float:
@@ -719,7 +732,7 @@ def compute_surface_currents(ring: RingKeys, remanence: float) -> list[Winding]:
 
 
 def _make_cross_section(ring: RingKeys) -> Winding:
-    """Return the cross-section of a magnet as a winding with 0 turns."""
+    """Return the cross-section of a magnet as a ``Winding``, which has zero turns."""
     middle, width = (ring.inner + ring.outer) / 2, ring.outer - ring.inner
     return Winding(middle, width, ring.height, ring.y, 0.0)
 

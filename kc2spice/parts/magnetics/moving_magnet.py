@@ -21,16 +21,16 @@ from kc2spice.parts.magnetics.moving_conductor import (
     compute_surface_currents,
     make_windings,
 )
-from kc2spice.scene.model import (
+from kc2spice.scene.part_records import NeglectedEffect
+from kc2spice.scene.parttype import register_part_type
+from kc2spice.scene.scene_classes import (
     Part,
     Scene,
 )
-from kc2spice.scene.part_records import NeglectedEffect
-from kc2spice.scene.parttype import register_part_type
 
 
 class MagnetisationKeys(Section):
-    """Keys of a moving magnet that are also parameters of its netlist."""
+    """Magnetisation of a moving magnet: the key ``remanence``, a netlist parameter."""
 
     remanence: FluxDensity = Field(
         description="Remanence of the moving magnet, positive for an upward magnetisation"
@@ -59,8 +59,8 @@ class MovingMagnetKeys(MagnetisationKeys, MovingBodyKeys):
         gt=1e-8,
         lt=0.1,
         description=(
-            "Largest permitted relative error of flux and force; determines the degree of "
-            "the power series"
+            "Largest permitted relative error of flux and force; determines the degree of the "
+            "power series that describe both as functions of the height"
         ),
     )
 
@@ -124,9 +124,10 @@ sine = { amplitude = "1 V", frequency = "50 Hz" }
         rings: int,
         frequency: float,
     ) -> LoopModel:
-        """Return a loop model that contains only the magnet's couplings to other currents.
+        """Return the magnet as one current loop that is coupled to coils and magnets.
 
-        The ``fixed`` currents represent fixed magnets.
+        The loop model contains the couplings of the magnet's current loop to the coils and to the
+        ``fixed`` currents, which represent fixed magnets.
         """
         shape = keys.inner, keys.radius, keys.thickness
         share = 1 / (1 + compute_demagnetising_factor(*shape) * (keys.mu_r - 1))

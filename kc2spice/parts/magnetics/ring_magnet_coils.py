@@ -1,10 +1,11 @@
 """The part ``ring_magnet_coils``: actuator that catches a magnetic sphere.
 
 The actuator consists of a ring magnet and two coils on a common axis. The sphere moves along the
-axis (sections 2.2.1 and 2.4 of the paper). The force on the sphere is a polynomial of both coil
-currents. The six coefficients of this polynomial are tabulated functions of the height. With an
-ideal current drive, the coils are modelled as resistors. With any other drive, the coils also have
-inductance and back-EMF. :mod:`kc2spice.physics.coils` contains the declarations.
+axis. Source: sections 2.2.1 and 2.4 of Schütz, Maeter and Bechtold, Actuators 10 (2021) 279. The
+force on the sphere is a polynomial of both coil currents. The six coefficients of the force
+polynomial are tabulated functions of the height of the sphere. With an ideal current drive, the
+coils are modelled as resistors. With any other drive, the coils also have inductance and back-EMF.
+:mod:`kc2spice.physics.coils` contains the declarations.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field
 
-from kc2spice.core import laws
+from kc2spice.core import constitutive_laws as laws
 from kc2spice.core.cache import load_or_build
 from kc2spice.core.domains import AMBIENT, BASE, DISPLACEMENT, HEAT, TRANSLATION
 from kc2spice.core.errors import UsageError
@@ -29,14 +30,18 @@ from kc2spice.core.magnets import (
     MagnetostaticTable,
     interpolate_by_splines,
 )
-from kc2spice.core.mesh_error import PLANE_UNKNOWN_RATIO, describe_mesh_errors, list_mesh_errors
+from kc2spice.core.mesh_error_descriptions import (
+    PLANE_UNKNOWN_RATIO,
+    describe_mesh_errors,
+    list_mesh_errors,
+)
 from kc2spice.core.progress import StageTimer
 from kc2spice.core.quantities import MU_0, si
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.magnet_keys import CatchKeys, RingKeys
 from kc2spice.netlist.circuit import Pin, make_positive_parameter
-from kc2spice.netlist.library import Header, Subcircuit
-from kc2spice.netlist.spelling import format_voltage
+from kc2spice.netlist.number_and_name_spelling import format_voltage
+from kc2spice.netlist.subcircuit_library import Header, Subcircuit
 from kc2spice.parts.bodies._body_figures import plot_impedances
 from kc2spice.parts.control._pid_keys import PidKeys
 from kc2spice.parts.electronics.netlist import make_driver_table
@@ -57,7 +62,10 @@ from kc2spice.physics.conductors import (
 from kc2spice.physics.declaration import HEAT_BRANCH, ONE_TEMPERATURE, TEMPERATURE
 from kc2spice.physics.part import get_across_vector, get_flow_vector, make_declared_subcircuit
 from kc2spice.scene.checks import Check, Gate, Metric, RunEnergyBalance
-from kc2spice.scene.model import (
+from kc2spice.scene.part_records import EquilibriumConditions, NeglectedEffect, PartResult
+from kc2spice.scene.parttype import register_part_type
+from kc2spice.scene.plausibility import check_range
+from kc2spice.scene.scene_classes import (
     GROUND,
     BuiltScene,
     DeclaredScene,
@@ -68,12 +76,10 @@ from kc2spice.scene.model import (
     Terminal,
     WiredScene,
 )
-from kc2spice.scene.part_records import EquilibriumConditions, NeglectedEffect, PartResult
-from kc2spice.scene.parttype import register_part_type
-from kc2spice.scene.plausibility import check_range
-from kc2spice.synthesis.header import SIGN_TEXT
+from kc2spice.synthesis.library_headers import SIGN_TEXT
 
-MAGNET_CONDUCTIVITY = 150e3  # conductivity [S/m] of the sphere, from table A1 of the paper
+# conductivity [S/m] of the magnetic sphere, from table A1 of Schütz et al. (2021)
+MAGNET_CONDUCTIVITY = 150e3
 
 COLD_TEXT = "coils at the temperature of their data, without heating"
 HOT_TEXT = "resistances linear in the temperature, which is the same for both coils"
@@ -87,7 +93,8 @@ DENSITY_RATIO = 4
 LOOKUP_POINTS = 201  # number of points of a lookup, for an error of 6e-6 of the largest force
 # Largest permitted error of the force spline between heights, relative to the largest force.
 MAX_SPLINE_ERROR = 1e-2
-# suggested launch velocity, divided by the velocity that lets a flight reach the table's end
+# Suggested launch velocity, divided by the velocity at which the sphere just reaches the lowest or
+# highest height of the force table.
 KICK_MARGIN = 0.85
 COPPER_HEAT_CAPACITY = 3.45e6  # J/(m3 K), 385 J/(kg K) times 8960 kg/m3
 COIL_NAMES = ("lower", "upper")
@@ -141,9 +148,9 @@ SERIES_PINS = (Terminal("drive", "V", "A"), Terminal("ret", "V", "A"), *POSITION
 def compute_rated_heating(keys: RingMagnetCoilsKeys) -> float:
     """Return the integral of the squared coil current [A^2 s] that the rating permits.
 
-    The permitted integral heats the wire by the rated temperature rise. Without cooling, the
-    integral is ``rise c A^2 / resistivity`` for any number of turns. c is the volumetric heat
-    capacity, and A is the cross-section of the wire.
+    A current pulse with the permitted integral of i^2 heats the wire by the rated temperature rise.
+    Without cooling, the integral is ``rise c A^2 / resistivity`` for any number of turns. c is the
+    volumetric heat capacity, and A is the cross-section of the wire.
     """
     section = np.pi / 4 * keys.wire_diameter**2
     return float(keys.rated_rise * COPPER_HEAT_CAPACITY * section**2 / keys.resistivity)
@@ -172,12 +179,12 @@ def make_coils_subcircuit(
 ) -> Subcircuit:
     """Return the subcircuit of the coils.
 
-    The magnetic force acts on the node ``v`` of the sphere. With ``apart``, the coils have
-    resistance, inductance and back-EMF. The lower coil is between ``lp`` and ``ln``, and the upper
-    coil is between ``up`` and ``un``. Otherwise, the coils are resistors in series between
-    ``drive`` and ``ret``, and the current in the lower coil is reversed. The force then needs only
-    three functions of the height instead of six. :func:`kc2spice.physics.coils.declare_coils`
-    defines the pins and equations.
+    The magnetic force acts on the node ``v`` of the sphere. If ``apart`` is true, each coil has its
+    own pins, a resistance, an inductance and a back-EMF. The lower coil is between ``lp`` and
+    ``ln``, and the upper coil is between ``up`` and ``un``. If ``apart`` is false, the coils are
+    resistors in series between ``drive`` and ``ret``, and the current in the lower coil is
+    reversed. The force of coils in series needs only three functions of the height instead of six.
+    :func:`kc2spice.physics.coils.declare_coils` defines the pins and equations.
 
     ``points`` is the number of equally spaced heights in the lookups. ``wire`` contains the
     temperature coefficient [1/K] and the reference temperature [K] of the wire. Without ``wire``,
@@ -249,9 +256,12 @@ class RingMagnetCoils(TouchablePart[RingMagnetCoilsKeys]):
     def equilibrium_conditions(
         self, part: Part[RingMagnetCoilsKeys], scene: WiredScene
     ) -> EquilibriumConditions:
-        """Return the paths of steady flow from the pins to ground; ``heat`` has no path.
+        """Return the equilibrium conditions: paths of steady force, without heat paths.
 
-        Only displacement and temperature pins have a path.
+        A path is a pair of pins between which the part transmits a steady force or flow. Paths at
+        the pin ``heat`` are removed, because the part does not connect ``heat`` to ground. The
+        result contains no paths between electrical pins, because only displacement, temperature and
+        pressure pins must be connected to ground.
         """
         clamps = super().equilibrium_conditions(part, scene).paths
         return EquilibriumConditions(tuple(path for path in clamps if HEAT not in path))
@@ -261,8 +271,8 @@ class RingMagnetCoils(TouchablePart[RingMagnetCoilsKeys]):
     ) -> Mapping[str, str]:
         """Return the default connections of the pins ``y`` and ``v`` to the sphere.
 
-        If another part prescribes the motion of the sphere, ``y`` and ``v`` are connected to this
-        part.
+        If another part prescribes the motion of the sphere, ``y`` and ``v`` are connected to that
+        other part.
         """
         ball = find_sphere(part, scene).name
         ball = scene.movers.get(ball) or ball
@@ -285,7 +295,7 @@ class RingMagnetCoils(TouchablePart[RingMagnetCoilsKeys]):
             )
         bodies: dict[str, RingKeys] = {item: getattr(keys, item) for item in ("ring", *COIL_NAMES)}
         for body_name, body in bodies.items():
-            # Each rule contains: problem, key, validity of the value, limit in words, limit.
+            # Each rule: problem, key, whether the value is valid, limit as text, limit in metres.
             rules = (
                 ("inner is not smaller than outer", "inner", body.inner < body.outer,
                  "less than outer", body.outer),
@@ -317,12 +327,14 @@ class RingMagnetCoils(TouchablePart[RingMagnetCoilsKeys]):
         if resting and not keys.y_min < radius < keys.y_max:
             yield ball.wrong(
                 "radius",
-                "the radius is outside of the force table",
-                got=f"rest height {radius:g} m",
-                expected=f"between {keys.y_min:g} and {keys.y_max:g} m",
+                "the centre of the resting sphere is outside of the height range of the force "
+                "table",
+                got=f"a radius of {radius:g} m, which is the height of the centre",
+                expected=f"a radius between {keys.y_min:g} and {keys.y_max:g} m",
                 hint=(
-                    f"extend the table by {part.name}.y_min and {part.name}.y_max, so that "
-                    "its range contains the rest height"
+                    f"lower {part.name}.y_min below {radius:g} m"
+                    if radius <= keys.y_min
+                    else f"raise {part.name}.y_max above {radius:g} m"
                 ),
             )
         copper = keys.turns * np.pi / 4 * keys.wire_diameter**2
@@ -390,10 +402,10 @@ class RingMagnetCoils(TouchablePart[RingMagnetCoilsKeys]):
 
         def build() -> MagnetostaticTable:
             """Compute the force table for a remanence of 1 T."""
-            from kc2spice.fem.magnet_field import compute_catch_table
+            from kc2spice.fem.magnet_field import compute_magnetostatic_table
 
             with clock.time_stage("magnetics", "field of the catch actuator") as share:
-                return compute_catch_table(unit, key["radius"], share)
+                return compute_magnetostatic_table(unit, key["radius"], share)
 
         table = load_or_build(
             "catch", key, build, classes=(MagnetostaticTable,), sources=TABLE_SOURCES
@@ -401,7 +413,12 @@ class RingMagnetCoils(TouchablePart[RingMagnetCoilsKeys]):
         return table.scale_magnets(keys.remanence, keys.shift)
 
     def subcircuit_name(self, part: Part[RingMagnetCoilsKeys], scene: Scene) -> str:
-        """Return the name of the subcircuit: ``coil``, or the name of the part."""
+        """Return the name of the subcircuit, such as ``coil`` or ``heated_coil``.
+
+        The subcircuit of a part ``catch`` with separate coil terminals is ``coil``. All other
+        subcircuits have the name of the part. If the pin ``heat`` is connected, the name begins
+        with ``heated_``.
+        """
         coil = _has_coil_terminals(part, scene) and part.name == "catch"
         name = "coil" if coil else part.name
         return f"heated_{name}" if is_heated(part, scene) else name
@@ -462,7 +479,7 @@ class RingMagnetCoils(TouchablePart[RingMagnetCoilsKeys]):
         }
 
     def law(self, part: Part[RingMagnetCoilsKeys], build: BuiltScene) -> laws.Equations:
-        """Return the part's model equations, which are solved without a simulator."""
+        """Return the part's law: its model equations, solved by kc2spice without ngspice."""
         n, scene, table = part.name, build.scene, build.model(part, MagnetostaticTable)
         prefix, apart = get_result_prefix(part), has_drive_circuit(part, scene)
         stated, ends = (
@@ -507,7 +524,7 @@ class RingMagnetCoils(TouchablePart[RingMagnetCoilsKeys]):
 
         The mesh cells of the finer mesh have half the size.
         """
-        from kc2spice.fem.magnet_field import choose_compared_count, compute_catch_table
+        from kc2spice.fem.magnet_field import choose_compared_count, compute_magnetostatic_table
 
         table, keys = build.model(part, MagnetostaticTable), part.keys
         unknowns = REFINEMENT_RATIO**2 * table.facts["unknowns"]
@@ -528,7 +545,7 @@ class RingMagnetCoils(TouchablePart[RingMagnetCoilsKeys]):
         def compute_finer_table() -> MagnetostaticTable:
             """Compute the force table on a mesh with cells of half the size."""
             with clock.time_stage("full model", f"{part.name}: mesh half as wide") as share:
-                return compute_catch_table(unit, key["radius"], share)
+                return compute_magnetostatic_table(unit, key["radius"], share)
 
         fine = load_or_build(
             "catch", key, compute_finer_table, classes=(MagnetostaticTable,), sources=TABLE_SOURCES
@@ -604,7 +621,7 @@ class RingMagnetCoils(TouchablePart[RingMagnetCoilsKeys]):
     def figures(
         self, part: Part[RingMagnetCoilsKeys], build: BuiltScene, waves: Waveforms
     ) -> Iterator[Figure | FileWriter]:
-        """Yield the charts of the part, and functions that write further files."""
+        """Yield the figures of the part, and the writers of its additional output files."""
         prefix = get_result_prefix(part)
         currents = _list_coil_currents(part, waves)
         if "time" in waves and len(currents) == len(COIL_NAMES):
@@ -685,7 +702,7 @@ def plot_force(part: Part[RingMagnetCoilsKeys], build: BuiltScene) -> Figure:
 def plot_impedance(part: Part[RingMagnetCoilsKeys], build: BuiltScene) -> Figure:
     """Plot the impedance ``R + j w L`` of each coil, and of both coils in series.
 
-    In the series connection, the coils have opposite currents.
+    In the series connection, the current flows around the two coils in opposite directions.
     """
     table = build.model(part, MagnetostaticTable)
     matrix = table.coenergy.compute_inductances(0.5 * (table.y[0] + table.y[-1]))
@@ -785,8 +802,8 @@ def _is_driven(part: Part[RingMagnetCoilsKeys], scene: JoinedScene) -> bool:
 def find_largest_current(part: Part[RingMagnetCoilsKeys], scene: JoinedScene) -> float:
     """Return the largest coil current [A] that a controller of the scene can set.
 
-    If a part other than a controller drives the coils, return 1 A. If no part drives the coils,
-    return 0.
+    If a part other than a controller drives the coils, their largest current is not known, and the
+    result is 1 A. If no part drives the coils, return 0.
     """
     limits = [pid.keys.current_limit for pid in scene.list_parts_with_schema("pid", PidKeys)]
     return float(max(limits, default=1.0 if _is_driven(part, scene) else 0.0))
@@ -795,12 +812,15 @@ def find_largest_current(part: Part[RingMagnetCoilsKeys], scene: JoinedScene) ->
 def compute_spline_error(table: MagnetostaticTable, current: float) -> float:
     """Return the error estimate of the force spline, relative to the largest force.
 
-    The largest force occurs at currents up to ``current`` [A] in both coils. If the distance
-    between heights is doubled, the error of an accurate spline becomes 16 times larger. The
-    smallest measured factor is 11, for the magnets of the paper with 9 heights. The estimate is the
-    error of a spline through every second height, divided by at most 8. The divisor is smaller if
-    the error of a spline through every fourth height is less than 8 times larger. With too few
-    heights, the divisor is 1.
+    The reference of the error is the largest force for currents up to ``current`` [A] in both
+    coils. If the distance between heights is doubled, the error of an accurate spline becomes 16
+    times larger. In tests, doubling the distance between heights increased the spline error by a
+    factor of at least 11. The factor was 11 for a table of 9 heights and the magnets of Schütz and
+    co-authors (2021). Therefore, the error estimate assumes that a doubled distance between heights
+    increases the spline error by a factor of at most 8. The error estimate is ``e2 / min(8, max(1,
+    e4 / e2))``, where e2 and e4 are the errors of splines through every second and every fourth
+    height. If the table has fewer than 13 heights, the error estimate is e2, the error of a spline
+    through every second height.
     """
     values = table.coefficients
     largest = float(np.abs(_compute_force_contributions(values, current)).sum(axis=0).max())

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from kc2spice.core.quantities import Inductance, MechanicalDamping, Resistance, si
+from kc2spice.core.quantities import CoilInductance, MechanicalDamping, Resistance, si
 from kc2spice.fem.thermal_materials import find_resistance_coefficient
 from kc2spice.physics import Declaration, DeclaredPart, current, displacement
 from kc2spice.physics.conductors import ConductorKeys
@@ -25,7 +25,7 @@ class VoiceCoilKeys(ConductorKeys):
     """
 
     resistance: Resistance = Field(gt=0, description="Electrical resistance of the voice coil")
-    inductance: Inductance = Field(gt=0, description="Inductance of the voice coil")
+    inductance: CoilInductance = Field(gt=0, description="Inductance of the voice coil")
     bl: Annotated[float, si("N/A")] = Field(
         description="Force factor Bl of the voice coil at the displacement x = 0"
     )

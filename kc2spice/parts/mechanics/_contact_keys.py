@@ -22,7 +22,7 @@ from kc2spice.core.quantities import (
 )
 
 # Largest permitted stiffness [N/m] of a contact spring.
-# A mass of one gram on such a spring vibrates at 160 MHz, far above all frequencies of a run.
+# A mass of 1 g on a spring of 1e15 N/m vibrates at 160 MHz, far above all frequencies of a run.
 MAX_STIFFNESS = 1e15
 
 
@@ -62,8 +62,8 @@ class ContactKeys(Section):
     gap: Length = Field(
         0.0,
         description=(
-            "Gap of the contact at rest, in addition to the distance between the surfaces "
-            "in the geometry"
+            "Additional gap of the contact at rest, added to the distance between the surfaces in "
+            "the geometry"
         ),
     )
     inertia: Literal["massless", "lumped"] = Field(
@@ -126,8 +126,8 @@ class ContactKeys(Section):
         0.0,
         ge=0,
         description=(
-            "Coulomb friction coefficient for sliding of the pin `slide` on the pin "
-            "`rail`; the same coefficient applies to both flanks of a groove"
+            "Coulomb friction coefficient for sliding of the part at the pin `slide` along the "
+            "part at the pin `rail`; the same coefficient applies to both flanks of a groove"
         ),
     )
     creep: Velocity = Field(

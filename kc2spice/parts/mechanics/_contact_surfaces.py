@@ -1,4 +1,4 @@
-"""Contact surfaces of parts, largest indentations, and launches from a contact."""
+"""Contact surfaces, indentations, and velocities of bodies that lose contact."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import numpy as np
 from kc2spice.parts.electronics.source import SourceKeys
 from kc2spice.parts.mechanics._contact_keys import ContactKeys
 from kc2spice.physics.contact import ContactForce
-from kc2spice.scene.model import (
+from kc2spice.scene.scene_classes import (
     GROUND,
     GovernedScene,
     KeysT,
@@ -31,9 +31,13 @@ FLOOR_PORT = "floor"  # name of the port of a fixed rigid plane
 SPHERE_PATCH = "patch"  # name of the port of an elastic sphere
 # Assumed force error of the pressure basis, divided by the change of the force on refinement.
 # On refinement, the basis functions of the pressure have half the width.
-# A comparison with basis functions of a quarter of the width gives a quotient of 1.8.
+# Compared with basis functions of a quarter of the width, the force error is 1.8 times the change
+# of the force when the width is halved. The assumed factor of 3 is therefore on the safe side.
 REFINEMENT_LIMIT = 3.0
-_MIN_FLIGHT = 20e-6  # s, several periods of a chip; a shorter interval is a bounce in the kick
+# Shortest interval without contact [s] that counts as a flight.
+# The interval is several times as long as a vibration period of a chip.
+# A shorter interval without contact counts as a bounce during the kick.
+_MIN_FLIGHT = 20e-6
 # Safety factor on the estimated indentation.
 # The factor is necessary, because a body is not a half-space and only a few rings carry the force.
 _INDENTATION_MARGIN = 1.25
@@ -48,7 +52,7 @@ class ContactSurface:
     force acts on the pin ``velocity`` instead. ``radius`` [m] is the radius of a sphere, None for a
     plane. ``sectors`` is the number of symmetry sectors if the stiffness applies to a single
     sector. If the port is a patch with a pressure basis, ``patch`` [m] is its radius,
-    ``compliance`` is its compliance, and ``pace`` [s] is its response time. If the surface is
+    ``compliance`` is its compliance, and ``pace`` [s] is its damping time. If the surface is
     rigid, ``elastic`` is the name of the part that models the elasticity; this part has the port
     ``patch``. ``modulus`` [Pa] is the indentation modulus if the surface is a half-space.
     """
@@ -98,7 +102,7 @@ class ContactSurface:
 
 @dataclass(frozen=True)
 class LargestIndentation:
-    """Largest indentation [m] of two surfaces in a contact, and its cause."""
+    """Largest indentation [m] of two contact surfaces, and the event that causes it."""
 
     depth: float
     why: str
@@ -107,26 +111,27 @@ class LargestIndentation:
 class TouchablePart(PartType[KeysT]):
     """Base class of part types that have a contact surface or press surfaces together.
 
-    A part without a contact surface can press two surfaces together.
+    A part that has no contact surface can still press the contact surfaces of two other parts
+    together.
     """
 
     def contact_surface(
         self, part: Part[KeysT], scene: GovernedScene, ports: tuple[str, ...] = ()
     ) -> ContactSurface | None:
-        """Return the contact surface of the part; None if it has none."""
+        """Return the contact surface of the part, or None if the part has no surface."""
         return None
 
     def largest_indentations(
         self, part: Part[KeysT], scene: GovernedScene
     ) -> Iterable[LargestIndentation]:
-        """Return the largest indentations of contacts that the part can cause."""
+        """Return the largest indentation that the part can cause at each contact."""
         return ()
 
 
 def find_surface(
     part: Part, scene: GovernedScene, ports: tuple[str, ...] = ()
 ) -> ContactSurface | None:
-    """Return the contact surface of a part at ``ports``; None if the part has none.
+    """Return the contact surface of a part at ``ports``; None without a surface.
 
     Without ``ports``, the surface contains the default contact ports of the part.
     """
@@ -186,21 +191,23 @@ class ContactPair:
                 surface = find_surface(other, scene)
                 if surface is not None and (surface.radius is not None) == spherical:
                     offers.append(surface)
-            if len(offers) != 1:
+            if not offers:
                 kind = ("sphere", "sphere") if spherical else ("body with a flat surface", "kick")
-                candidates = ", ".join(item.part for item in offers)
                 raise part.wrong(
                     key,
-                    f"{part.name} needs the key {key}, because several parts fit"
-                    if offers
-                    else f"the scene has no {kind[0]} that {part.name} can touch",
-                    got=f"no key {key}; possible parts: {candidates}"
-                    if offers
-                    else f"no {kind[0]}",
+                    f"the scene has no {kind[0]} that {part.name} can touch",
+                    got=f"no {kind[0]}",
                     expected=f'{key} = "PART" or "PART.PORT"',
-                    hint=f'write  {key} = "{offers[0].part}"'
-                    if offers
-                    else f"add [{kind[1]}]; an empty table is enough",
+                    hint=f"add the table [{kind[1]}], which needs no keys, to the scene",
+                )
+            if len(offers) > 1:
+                raise part.wrong(
+                    key,
+                    f"{part.name} can touch several parts, so the key `{key}` must name one",
+                    got=f"no key `{key}`; possible parts: "
+                    f"{', '.join(item.part for item in offers)}",
+                    expected=f'{key} = "PART" or "PART.PORT"',
+                    hint=f'write  {key} = "{offers[0].part}"',
                 )
             return offers[0]
         if selected == GROUND:
@@ -210,10 +217,13 @@ class ContactPair:
         if len(names) != 1:
             raise part.wrong(
                 key,
-                "the contact needs one body on each side",
-                got=", ".join(sorted(names)),
+                f"the key `{key}` of {part.name} lists ports of several parts",
+                got=f"ports of {', '.join(sorted(names))}",
                 expected="ports of one part",
-                hint=f"keep only ports of {min(names)}, and add another contact for the other part",
+                hint=(
+                    f"delete the ports in {key} that do not belong to {min(names)}, and add "
+                    f"another contact for {max(names)}"
+                ),
             )
         other = scene.get_part(names.pop(), f"{part.name}.{key}")
         ports = tuple(target.partition(".")[2] for target in targets if "." in target)
@@ -231,7 +241,7 @@ class ContactPair:
 
     @cached_property
     def gaps(self) -> np.ndarray:
-        """Gap [m] at each port of ``a``, with both sides at rest."""
+        """Gap [m] at each port of the lower surface, with both surfaces at rest."""
         distance = np.array(self.lower_surface.distance)
         curved = (
             0.0 * distance
@@ -242,7 +252,7 @@ class ContactPair:
 
     @cached_property
     def ports(self) -> tuple[str, ...]:
-        """Ports of ``a`` with a contact spring, sorted by distance from the axis."""
+        """Ports of the lower surface with a contact spring, sorted by distance from axis."""
         rings, ports = self.keys.rings, self.lower_surface.ports
         if (
             rings == "all"
@@ -271,7 +281,9 @@ class ContactPair:
     def may_move_at_start(self) -> bool:
         """Whether a side of the contact may already move at t = 0.
 
-        A fixed upper side and a rigid lower side also count as moving.
+        Callers evaluate a launch from rest only if the value is false. The value is also true if
+        the upper side is fixed or the lower side is rigid, because a launch from rest is then
+        impossible.
         """
         return (
             self.upper_surface.part == GROUND
@@ -294,10 +306,11 @@ class ContactPair:
         ``M_b`` of both sides: ``1/E* = 1/M_a + 1/M_b``. For two spheres of radii R_a and R_b, ``1/R
         = 1/R_a + 1/R_b``. In a groove of opening angle g, the axial indentation x indents each
         flank by ``s x`` with ``s = sin(g/2)``. The fraction ``s`` of the flank forces acts along
-        the axis. The stiffness is therefore ``2 s^(1 + power)`` times the stiffness of one flank,
-        and the damping depends on the closing speed ``s x'``. If F is the axial force, the normal
-        force of each flank is ``F / (2 s)``. The friction force along the groove is therefore ``1 /
-        s`` times the friction force on a plane.
+        the axis. With ``s = sin(g/2)``, the stiffness of a groove is ``2 s^(1 + power)`` times the
+        stiffness of one flank. Each flank has the closing speed ``s x'``, which determines the
+        damping. An axial force F in a groove of opening angle g causes the normal force ``F / (2
+        sin(g/2))`` on each of the two flanks. The friction force along the groove is therefore ``1
+        / s`` times the friction force on a plane.
         """
         keys, along = self.keys, (self.keys.damping, self.keys.friction, self.keys.creep)
         if keys.shape == "pressure":
@@ -320,12 +333,15 @@ class ContactPair:
                 for side in (self.lower_surface, self.upper_surface)
                 if side.radius is not None
             ]
-            if not spherical or len(self.lower_surface.ports) > 1:
+            count = len(self.lower_surface.ports)
+            if not spherical or count > 1:
+                spheres = ("no sphere", "1 sphere", "2 spheres")[len(spherical)]
                 raise self.part.wrong(
                     "law",
-                    "the law of Hertz applies only to a sphere at one port",
-                    got=f"{len(self.lower_surface.ports)} ports, {len(spherical)} spheres",
-                    expected="two spheres, or a sphere at one port",
+                    "the law of Hertz requires a sphere that touches a part at a single port",
+                    got=f"{spheres}, and {count} port{'s' * (count > 1)} of "
+                    f"{self.lower_surface.part} in the contact",
+                    expected="two spheres, or a sphere and a surface, in contact at a single port",
                     hint='write  law = "linear"',
                 )
             value, power = 4 / 3 * self._combined_modulus / math.sqrt(sum(spherical)), 1.5
@@ -362,21 +378,25 @@ class ContactPair:
 
     @cached_property
     def pressure_basis(self) -> PressureBasis:
-        """Piecewise linear basis functions for the pressure on the patch of side ``a``."""
+        """Piecewise linear basis functions for the contact pressure on the lower surface."""
         from kc2spice.bodies.contact_pressure import choose_pressure_basis
 
         return choose_pressure_basis(self.keys.spacing, self.lower_surface.patch)
 
     @cached_property
     def basis_compliance(self) -> tuple[LocalCompliance, float]:
-        """Compliance of both sides to the pressure basis, and mean response time [s]."""
+        """Sum of the compliances of both contact surfaces, and mean damping time [s].
+
+        The compliances are matrices for the basis functions of :attr:`pressure_basis`.
+        """
         return self._combine_compliances(self.pressure_basis)
 
     def _combine_compliances(self, shape: PressureBasis) -> tuple[LocalCompliance, float]:
-        """Return the summed compliance of both sides, and their mean response time [s].
+        """Return the summed compliance of both sides, and their mean damping time [s].
 
-        The response time is the mean of the response times of both sides, weighted by their
-        compliances.
+        The mean of the damping times of both sides is weighted by the compliances of the sides.
+        Stiffness-proportional damping with the damping time ``beta`` has the damping matrix ``beta
+        K``.
         """
         assert self.lower_surface.compliance is not None
         result = self.lower_surface.compliance(shape)
@@ -413,10 +433,10 @@ class ContactPair:
         """Return the error estimate of the contact force due to the pressure basis.
 
         The estimate is 0 for a contact with rings. The estimate is proportional to the largest
-        relative change of the force with basis functions of half the width. The forces are compared
-        at indentations between half of the largest indentation of the scene and the largest
-        indentation. Both forces are computed from the compliance of the complete contact patch plus
-        the local compliance of the basis functions.
+        relative change of the contact force when the width of the basis functions is halved. The
+        forces are compared at indentations between half of the largest indentation of the scene and
+        the largest indentation. For each width of the basis functions, the force follows from the
+        compliance of the complete contact patch plus the local compliance.
         """
         from kc2spice.bodies.contact_pressure import choose_pressure_basis
 
@@ -458,7 +478,10 @@ class ContactPair:
 
 
 def make_pair(contact: Part, scene: GovernedScene) -> ContactPair:
-    """Return the pair of contact surfaces, from the record of the scene if available."""
+    """Return the stored pair of surfaces of a contact, or otherwise make a new pair.
+
+    A scene stores the pair of surfaces in the :class:`PartRecord` of the contact.
+    """
     record = scene.get_record(contact)
     if record is None or not isinstance(record.shared_data, ContactPair):
         return ContactPair(contact.with_schema(ContactKeys), scene)
@@ -466,7 +489,7 @@ def make_pair(contact: Part, scene: GovernedScene) -> ContactPair:
 
 
 def find_single_contact(scene: GovernedScene) -> ContactPair | None:
-    """Return the contact pair of the scene; None without exactly one contact."""
+    """Return the contact pair of a scene that has exactly one contact, or None."""
     contact = scene.find_only_part("contact")
     return None if contact is None else make_pair(contact, scene)
 
@@ -483,7 +506,12 @@ def _get_indentation_law(
 
 @lru_cache(maxsize=8)
 def _fit_cached_law(nodes: bytes, compliance: bytes, radius: float) -> IndentationLaw:
-    """Fit an indentation law to the bytes of pressure nodes and of a compliance."""
+    """Fit the indentation law of a sphere on a compliant surface, and cache the law.
+
+    ``nodes`` contains the radii [m] at which the pressure basis functions have their nodes.
+    ``compliance`` is the compliance matrix of the surface, and ``radius`` [m] is the radius of the
+    sphere. The arrays are bytes, because the keys of the cache must be hashable and arrays are not.
+    """
     from kc2spice.bodies.contact_pressure import PressureBasis, fit_indentation_law
 
     shape = PressureBasis(np.frombuffer(nodes))
@@ -499,10 +527,11 @@ def estimate_impact_indentation(
 ) -> Iterator[LargestIndentation]:
     """Yield the largest indentation by a sphere that hits a surface.
 
-    The sphere arrives at ``speed`` [m/s], and ``why`` is the reason in words. Among all states with
-    the indentation d, the static state has the smallest stored energy. The static law of Hertz
-    (1881) therefore gives an upper bound of d: ``m v^2 / 2 = 8/15 E sqrt(R) d^(5/2)``. m is the
-    mass of the sphere, v is its speed, R is its radius, and E is the combined modulus.
+    The sphere arrives at ``speed`` [m/s]. ``why`` describes in words the event that causes the
+    indentation. Among all states with the indentation d, the static state has the smallest stored
+    energy. The static law of Hertz (1881) therefore gives an upper bound of d: ``m v^2 / 2 = 8/15 E
+    sqrt(R) d^(5/2)``. m is the mass of the sphere, v is its speed, R is its radius, and E is the
+    combined modulus.
     """
     energy = 0.5 * mass * speed**2
     for contact in scene.list_parts("contact"):
@@ -527,14 +556,16 @@ def find_separation(
 ) -> tuple[float, float] | None:
     """Return the start time [s] and start velocity [m/s] of a flight without contact.
 
-    Return None without a flight. In contact, the force is proportional to ``overlap**power``.
+    A flight is an interval without contact that lasts at least 20 us, or until the end of the data.
+    If the data contain no flight, the result is None. In contact, the force is proportional to
+    ``overlap**power``.
 
-    An interval without contact is a flight if it lasts at least 20 us, or until the end of the
-    data. A run can contain several flights, because a body can fall back and rebound again. The
-    drive ends at the time ``busy`` [s]. Only flights that begin at most 20 us after the end of the
-    drive are compared. If no flight begins within 20 us, only the first flight is used. The result
-    is the start of the first compared flight whose speed is at least half of the largest speed. By
-    default, the end of the drive is not known, and all flights are compared.
+    A run can contain several flights, because a body can fall back and rebound again. The drive
+    ends at the time ``busy`` [s]. Only flights that begin at most 20 us after the end of the drive
+    are compared. If all flights begin later than 20 us after the end of the drive, only the
+    earliest flight is used. The result is the start of the first compared flight whose speed is at
+    least half the speed of the fastest compared flight. The default ``busy = inf`` describes a
+    drive that never ends; in this case, the speeds of all flights are compared.
     """
     loaded = force > 1e-9 * force.max(initial=0.0)
     force = np.maximum(force, 0.0) ** (1 / power)
@@ -557,7 +588,8 @@ def _extrapolate_release(
 
     The contact force is extrapolated to zero. The velocity at this time is extrapolated from the
     flight. The velocity after the last sample with a contact force is not suitable, because it
-    still changes under load. In flight, the velocity changes steadily.
+    still changes under load. In flight, the rate of change of the velocity is nearly constant, so a
+    linear extrapolation is accurate.
     """
     time, free = float(t[last]), last + 1
     if last > 0 and force[last - 1] > force[last]:

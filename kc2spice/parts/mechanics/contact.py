@@ -1,6 +1,6 @@
 """The part ``contact``: unilateral contact of bodies, or of a body and a sphere.
 
-The paper gives the contact law in eq. 10.
+Source of the contact law: eq. 10 of Schütz, Maeter and Bechtold, Actuators 10 (2021) 279.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from itertools import product
 
 import numpy as np
 
-from kc2spice.core import laws
+from kc2spice.core import constitutive_laws as laws
 from kc2spice.core.domains import AMBIENT, HEAT
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel, scale_time_axis
@@ -41,7 +41,14 @@ from kc2spice.scene.checks import (
     RunEnergyBalance,
     compute_motion_error_limit,
 )
-from kc2spice.scene.model import (
+from kc2spice.scene.part_records import (
+    EquilibriumConditions,
+    NeglectedEffect,
+    NumericalRequirements,
+    PartResult,
+)
+from kc2spice.scene.parttype import register_part_type
+from kc2spice.scene.scene_classes import (
     GROUND,
     BuiltScene,
     GovernedScene,
@@ -51,18 +58,12 @@ from kc2spice.scene.model import (
     Terminal,
     WiredScene,
 )
-from kc2spice.scene.part_records import (
-    EquilibriumConditions,
-    NeglectedEffect,
-    NumericalRequirements,
-    PartResult,
-)
-from kc2spice.scene.parttype import register_part_type
 
 # Error limits of the launch velocity of the reduced model, relative to the full model.
-# The constants are a factor on the error estimate, a default limit without an estimate, and the
-# largest limit. The largest limit is necessary, because the error estimate at a sharp resonance may
-# be huge. Runs print a warning if the error estimate under load exceeds 1 %.
+# The limit is ESTIMATE_FACTOR times the error estimate of the reduced model, but at most
+# MAX_LAUNCH_LIMIT. For a model without an error estimate, the limit is DEFAULT_LAUNCH_LIMIT.
+# MAX_LAUNCH_LIMIT is necessary, because the error estimate at a sharp resonance may be huge.
+# Runs print a warning if the error estimate under load exceeds 1 %.
 ESTIMATE_FACTOR = 0.4
 DEFAULT_LAUNCH_LIMIT = 1e-3
 MAX_LAUNCH_LIMIT = 1e-2
@@ -74,10 +75,11 @@ MAX_ENERGY_ERROR = 1e-3
 FUNCTIONS_PER_RADIUS = 3.0
 MAX_BASIS_ERROR = 3e-2  # largest permitted relative force error of a pressure basis
 MAX_RING_MOTION = 0.95  # largest permitted motion of an omitted ring, divided by its gap
-# Largest permitted product of reltol and the number of contacts during a kick.
-# Every contact adds the error of a time step.
-# In tests of 37 kicks, the launch velocity had a relative error of 9e-4 if the product exceeded
-# this limit. The chips of these kicks had damping ratios of 0.01 to 0.05 %.
+# Largest permitted product of reltol and the number of contacts while a body launches another body.
+# Each contact adds the error of one time step, so more contacts need a smaller reltol.
+# In tests with 37 launches, products of reltol and number of contacts above MAX_EVENT_RELTOL caused
+# launch velocity errors of up to 9e-4.
+# In the tests with 37 launches, the piezoelectric chips had damping ratios of 0.01 to 0.05 %.
 MAX_EVENT_RELTOL = 4e-3
 MAX_START_HEIGHT = 1e-8  # largest height [m] above a body at which a sphere counts as resting
 CONTACT_FREQUENCY = 500e3  # highest frequency [Hz] that a contact excites in bodies
@@ -138,7 +140,11 @@ class Contact(DeclaredPart[ContactKeys]):
     def equilibrium_conditions(
         self, part: Part[ContactKeys], scene: WiredScene
     ) -> EquilibriumConditions:
-        """Return the paths of steady force, to ground and between touching surfaces."""
+        """Return the paths of constant force, which an equilibrium requires.
+
+        The paths lead to ground. Without a gap between two elastic surfaces, paths also lead from
+        one surface to the other.
+        """
         pair = make_pair(part, scene)
         pins = ("base", *["va"] * pair.lower_surface.is_rigid, *["v"] * pair.upper_surface.is_rigid)
         clamps = [*product(pins, (GROUND,))]
@@ -157,7 +163,8 @@ class Contact(DeclaredPart[ContactKeys]):
 
         With the trapezoidal rule, the errors at closing and at opening cancel only for a linear
         spring. In tests with the tighter tolerances, rebound speeds had relative errors of 1.5e-4.
-        The rebounds of these tests lost 0 to 70 % of their energy.
+        The tests of the tighter tolerances covered rebounds that lost 0 to 70 % of the energy of
+        the impact.
         """
         curved = part.keys.law == "hertz" or part.keys.shape == "pressure"
         reltol = (
@@ -191,7 +198,8 @@ class Contact(DeclaredPart[ContactKeys]):
         if part.keys.shape == "pressure":
             yield from _check_pressure(pair)
         else:
-            assert pair.contact_force  # raises an error if the law does not fit both sides
+            # The property ``contact_force`` raises an error if the law does not fit both surfaces.
+            assert pair.contact_force
 
     def vectors(self, part: Part[ContactKeys], build: BuiltScene) -> Mapping[str, PartResult]:
         """Return the ngspice expression of each result of the part, keyed by result name."""
@@ -253,13 +261,13 @@ class Contact(DeclaredPart[ContactKeys]):
             if "time" in waves:
                 yield from _balance_energy(pair, waves, place)
                 yield from _check_start(pair, waves, place)
-            yield from _check_open_ports(pair, build, waves, place)
+            yield from _check_contact_extent(pair, build, waves, place)
             yield from _check_depth(pair, waves, place)
 
     def figures(
         self, part: Part[ContactKeys], build: BuiltScene, waves: Waveforms
     ) -> Iterator[Figure]:
-        """Yield the charts of the part for the report."""
+        """Yield the figures of the part for the report."""
         force = waves.data.get(f"{part.name}.force")
         if force is None:
             return
@@ -281,7 +289,7 @@ class Contact(DeclaredPart[ContactKeys]):
         yield Figure(f"{part.name}_force", f"Contact of {sides}", caption, (panel,))
 
     def law(self, part: Part[ContactKeys], build: BuiltScene) -> laws.Equations:
-        """Return the part's model equations, which are solved without a simulator."""
+        """Return the part's law: its model equations, solved by kc2spice without ngspice."""
         n, pair, result = part.name, make_pair(part, build.scene), super().law(part, build)
         forces = [result.results[f"{n}.force.{port}"].terms[0][1] for port in pair.ports]
         sums = {}
@@ -292,7 +300,7 @@ class Contact(DeclaredPart[ContactKeys]):
     def compare_with_finer_mesh(
         self, part: Part[ContactKeys], build: BuiltScene, clock: StageTimer, most: float
     ) -> Iterator[Check | str]:
-        """Yield the error estimate, computed with basis functions of half the width."""
+        """Compare the contact force with a model whose basis functions are half as wide."""
         if part.keys.shape == "pressure":
             name = f"force of {part.name}, pressure basis functions half as wide"
             yield Check(name, make_pair(part, build.scene).estimate_basis_error(), MAX_BASIS_ERROR)
@@ -300,7 +308,7 @@ class Contact(DeclaredPart[ContactKeys]):
     def describe_discretisation(self, part: Part[ContactKeys], build: BuiltScene) -> str:
         """Return a note on the error estimate of the pressure basis.
 
-        Return an empty string for a contact with rings.
+        For a contact with rings, which has no pressure basis, the note is an empty string.
         """
         return f"mesh: {SPACING_NOTE}" if part.keys.shape == "pressure" else ""
 
@@ -377,39 +385,42 @@ def _list_result_factors(pair: ContactPair) -> dict[str, float]:
 
 
 def _check_pressure(pair: ContactPair) -> Iterator[UsageError]:
-    """Yield an error for each key that contradicts a contact with a pressure basis."""
+    """Yield an error for each key that ``shape = "pressure"`` does not permit."""
     part, a, b = pair.part, pair.lower_surface, pair.upper_surface
-    hint = 'delete this key, or write  shape = "rings"'
+    hint = "delete the key `shape`"
     if a.compliance is None:
         yield part.wrong(
             "shape",
-            "this body has no pressure port",
-            got=a.ports[0],
-            expected="a part of type piezo_stack, in the key a without the name of a port",
+            'shape = "pressure" needs a piezo_stack without the name of a port in the key `a`',
+            got=f"the port {a.ports[0]} of {a.part}",
+            expected='a = "PART", where PART is a part of type piezo_stack',
             hint=hint,
         )
     elif not part.keys.spacing < a.patch / 4:
         yield part.wrong(
             "spacing",
-            "the pressure basis functions are wider than their patch",
+            "the spacing of the pressure basis functions is too large for the contact patch",
             got=f"{part.keys.spacing:g} m",
-            expected=f"less than {a.patch / 4:g} m",
+            expected=f"less than {a.patch / 4:g} m, a quarter of the radius of the patch",
         )
     if b.radius is None or b.radius <= a.patch:
-        got = "no sphere" if b.radius is None else f"a radius of {b.radius:g} m"
+        got = "no sphere" if b.radius is None else f"a sphere with a radius of {b.radius:g} m"
         yield part.wrong(
             "shape",
-            "a contact by pressure needs a sphere",
+            'shape = "pressure" needs a sphere that is larger than the contact patch',
             got=got,
             expected=(
-                f"a sphere with a radius above {a.patch:g} m, the radius of the outermost ring"
+                f"a sphere with a radius above {a.patch:g} m, the radius of the contact patch"
             ),
             hint=hint,
         )
     for key, default in (("law", "linear"), ("groove", None)):
         if (got := getattr(part.keys, key)) != default:
             yield part.wrong(
-                key, f'the key {key} cannot be combined with shape = "pressure"', got=got, hint=hint
+                key,
+                f'the key `{key}` cannot be combined with shape = "pressure"',
+                got=got,
+                hint=f'delete the key `{key}`, or write  shape = "rings"',
             )
 
 
@@ -505,22 +516,25 @@ def _check_events(pair: ContactPair, waves: Waveforms) -> Iterator[Check]:
     yield Check("touches", most, limit, "contact events", advice, action, coarse=True)
 
 
-def _check_open_ports(
+def _check_contact_extent(
     pair: ContactPair, build: BuiltScene, waves: Waveforms, place: np.ndarray
 ) -> Iterator[Check]:
-    """Yield the check that the contact does not extend beyond the modelled rings.
+    """Yield the check that the contact stays within the rings with contact springs.
 
     The name of the check is *ring_left_out*, or *outer_ring* if all rings have contact springs.
 
-    The check *ring_left_out* requires that the first ring without a contact spring stays open. The
-    displacement of the first ring without a spring is not a result of the run. The displacement is
-    estimated as ``u_K + sum_j S_Kj F_j``: the displacement of the outermost ring K with a spring,
-    plus the indentation of K by the recorded forces F_j. An indentation of the omitted ring would
-    only increase the distance between ring and sphere. S is the static compliance; the response
-    time over the distance between two rings is negligible. In tests with all rings, the estimate
-    was 10 to 100 % above the largest displacement of the next ring, or below it by at most 5 % of
-    the gap. If all rings have springs, the check *outer_ring* requires that the last ring stays
-    open.
+    The check *ring_left_out* requires that the first ring without a contact spring stays open. Ring
+    K is the outermost ring that has a contact spring. The displacement of ring K + 1 is not a
+    result of the run, but estimated as ``u_K + sum_j S_Kj F_j``. ``u_K`` is the displacement of
+    ring K, and ``sum_j S_Kj F_j`` is the indentation of ring K by the recorded forces F_j. The
+    estimate neglects the indentation of the omitted ring, because this indentation can only
+    increase the distance between ring and sphere. ``S_Kj`` is the static displacement of ring K for
+    a force of 1 N at ring j. The static compliance is sufficient, because the delay of the response
+    between two rings is negligible. The estimated displacement of the innermost ring that has no
+    contact spring was tested against models with contact springs at all rings. In these tests, the
+    estimated displacement of ring K + 1 exceeded the computed displacement by 10 to 100 %, or was
+    too small by at most 5 % of the gap. If all rings have springs, the check *outer_ring* fails if
+    a force acts on the last ring.
     """
     n, a, ports, action = pair.part.name, pair.lower_surface, pair.ports, pair.scene.checks.range
     if pair.upper_surface.radius is None or len(a.ports) < 2:

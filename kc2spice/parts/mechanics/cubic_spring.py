@@ -25,7 +25,7 @@ class CubicSpringKeys(Section):
     cubic: Annotated[float, si("N/m3")] = Field(
         0.0,
         description=(
-            "Cubic coefficient of the spring force, which is multiplied by the cube of the "
+            "Cubic coefficient in the spring force stiffness x + cubic x^3, where x is the "
             "elongation"
         ),
     )

@@ -17,19 +17,19 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.progress import StageTimer
 from kc2spice.fem.body_keys import BodyMeshKeys, DampingKeys
 from kc2spice.parts.bodies._linear_body import LinearBody
-from kc2spice.parts.bodies._linear_keys import LinearKeys
+from kc2spice.parts.bodies._linear_body_keys import LinearKeys
 from kc2spice.parts.mechanics._contact_keys import ContactKeys
 from kc2spice.parts.mechanics._contact_surfaces import SPHERE_PATCH, ContactSurface, make_pair
 from kc2spice.parts.mechanics.sphere import SphereKeys, make_sphere_material
 from kc2spice.rom.linear_model import LinearModel, Port
-from kc2spice.scene.model import (
+from kc2spice.scene.part_records import NeglectedEffect
+from kc2spice.scene.parttype import register_part_type
+from kc2spice.scene.scene_classes import (
     DeclaredScene,
     GovernedScene,
     Part,
     Scene,
 )
-from kc2spice.scene.part_records import NeglectedEffect
-from kc2spice.scene.parttype import register_part_type
 from kc2spice.scene.settings import RomKeys
 from kc2spice.synthesis.mode_cards import COARSE_WEIGHTS, StepWeights
 
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     )
 
 # Upper end of the frequency band, divided by the lowest natural frequency.
-# With a ratio of 2, the frequency band contains the radial mode of the sphere.
+# A band up to twice the lowest natural frequency contains the sphere's radial mode.
 BAND_RATIO = 2.0
 
 
@@ -107,7 +107,7 @@ elastic = true
                 "damping per material does not apply to an elastic sphere",
                 got=True,
                 expected="ratio, quality or loss_factor",
-                hint="delete per_material",
+                hint="delete the key `per_material`",
             )
         if part.keys.damping.model != "rayleigh":
             yield owner.wrong(
@@ -115,7 +115,7 @@ elastic = true
                 "an elastic sphere has viscous damping only",
                 got=part.keys.damping.model,
                 expected="rayleigh",
-                hint="delete model from damping",
+                hint="delete the key `model` from damping",
             )
 
     def contact_surface(
@@ -186,9 +186,9 @@ elastic = true
     def weights(self, part: Part[ElasticSphereKeys], scene: DeclaredScene) -> StepWeights:
         """Return the weights of the body's modes in the simulator's time step control.
 
-        With these weights, time steps do not resolve the ringing in free flight. Time steps that
-        resolve the ringing in free flight would be eight times as many, at a damping ratio of 0.01
-        %.
+        With these weights, time steps do not resolve the ringing in free flight. Resolution of the
+        sphere's ringing in free flight would require eight times as many time steps at a damping
+        ratio of 0.01 %.
         """
         return COARSE_WEIGHTS
 
@@ -215,7 +215,7 @@ elastic = true
     def _find_compliance(
         self, part: Part[ElasticSphereKeys], scene: GovernedScene, shape: PressureBasis
     ) -> LocalCompliance:
-        """Return the local compliance of the sphere for a pressure basis."""
+        """Return the local compliance of the sphere in a pressure basis."""
         from kc2spice.bodies.contact_pressure import LocalCompliance, compute_sphere_compliance
 
         key = {**self.make_full_model_key(part, scene), "pressure_basis": shape.nodes.tolist()}
@@ -266,20 +266,22 @@ def _find_contact(part: Part[ElasticSphereKeys], scene: GovernedScene) -> Part[C
             "an elastic sphere needs exactly one contact",
             got=got,
             expected=(
-                'one contact with shape = "pressure", and with the name of a body in its key a'
+                'one contact with shape = "pressure", and with the name of a body in its key `a`'
             ),
-            hint="delete elastic" if not result else f"delete the contact {result[-1].name}",
+            hint="delete the key `elastic`"
+            if not result
+            else f"delete the contact {result[-1].name}",
         )
     (contact,) = result
     if contact.keys.shape != "pressure":
         raise contact.wrong(
             "shape",
             (
-                "an elastic sphere cannot have rings, because the indentation under a ring "
-                "force does not converge"
+                f"the indentation of an elastic sphere by {contact.name} does not converge with "
+                'shape = "rings"'
             ),
-            got=contact.keys.shape,
-            expected="pressure",
+            got=f'shape = "{contact.keys.shape}"',
+            expected='shape = "pressure"',
             hint=f'set {contact.name}.shape = "pressure", or {owner.name}.elastic = false',
         )
     if damping := contact.keys.damping:

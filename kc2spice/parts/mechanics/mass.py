@@ -18,7 +18,9 @@ from kc2spice.parts.mechanics._contact_surfaces import ContactSurface, Touchable
 from kc2spice.physics import Declaration, DeclaredPart, displacement
 from kc2spice.physics.declaration import make_frame_branch
 from kc2spice.scene.checks import Metric
-from kc2spice.scene.model import (
+from kc2spice.scene.part_records import EquilibriumConditions, FrameAcceleration
+from kc2spice.scene.parttype import register_part_type
+from kc2spice.scene.scene_classes import (
     GROUND,
     BuiltScene,
     GovernedScene,
@@ -26,8 +28,6 @@ from kc2spice.scene.model import (
     Scene,
     WiredScene,
 )
-from kc2spice.scene.part_records import EquilibriumConditions, FrameAcceleration
-from kc2spice.scene.parttype import register_part_type
 from kc2spice.scene.settings import ProbeKeys
 from kc2spice.scene.start_conditions import find_floating_nets, find_rigid_groups
 
@@ -49,15 +49,15 @@ class MassKeys(Section):
     position: Length = Field(
         0.0,
         description=(
-            "Position of the mass at t = 0, by default 0. If neither position nor "
-            "velocity is stated, a mass with a support starts in equilibrium"
+            "Position of the mass at t = 0. If neither `position` nor `velocity` is stated, a "
+            "mass with a support starts in equilibrium; in all other cases, the default is 0"
         ),
     )
     velocity: Velocity = Field(
         0.0,
         description=(
-            "Velocity of the mass at t = 0, by default 0. If neither position nor "
-            "velocity is stated, a mass with a support starts in equilibrium"
+            "Velocity of the mass at t = 0. If neither `position` nor `velocity` is stated, a "
+            "mass with a support starts in equilibrium; in all other cases, the default is 0"
         ),
     )
 
@@ -140,7 +140,10 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
     def equilibrium_conditions(
         self, part: Part[MassKeys], scene: WiredScene
     ) -> EquilibriumConditions:
-        """Return the force path from ``base`` to ground, and the weight as load on ``a``."""
+        """Return the equilibrium conditions: how forces reach ground, and the loaded pin.
+
+        The force path starts at the pin ``base``. The weight acts on the pin ``a``.
+        """
         falls = part.keys.weight and scene.gravity
         return EquilibriumConditions(
             (("base", GROUND),), loaded_pins=("a",) if falls else (), inertial_pins=("a",)
@@ -154,7 +157,7 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
                 "position and velocity of a mass need a transient analysis",
                 got=f"analysis {scene.analysis.type}",
                 expected='type = "transient"',
-                hint="delete position and velocity",
+                hint="delete the keys `position` and `velocity`",
             )
 
     def settable_quantities(self, part: Part[MassKeys], build: BuiltScene) -> Mapping[str, float]:
@@ -195,13 +198,14 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
                     raise part.wrong(
                         "",
                         (
-                            "this mass is fixed to another part, which determines position and "
-                            "velocity of the mass"
+                            f"this mass states an initial motion, but {name}, to which the mass is "
+                            "fixed, determines the motion of the mass"
                         ),
-                        got=f"{name}.{pin} on the same net",
-                        expected="neither position nor velocity",
+                        got=f"{part.name}.a connected to {name}.{pin}",
+                        expected="neither the key `position` nor the key `velocity`",
                         hint=(
-                            "delete position and velocity, or connect both parts by a stiff spring"
+                            "delete the keys `position` and `velocity`, or connect the mass to "
+                            f"{name} by a stiff spring"
                         ),
                     )
             return state
@@ -227,7 +231,7 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
         return iter(())
 
     def main_metrics(self, part: Part[MassKeys], build: BuiltScene) -> Mapping[str, ProbeKeys]:
-        """Return the metric that a simulator can compute: the largest displacement."""
+        """Return the main metric of the mass as a probe: the largest displacement."""
         if build.scene.analysis.type != "transient":
             return {}
         return {f"{part.name}_peak_m": ProbeKeys(of=f"{part.name}.x", take="max")}

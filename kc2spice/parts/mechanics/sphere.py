@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from pydantic import Field, field_validator
 
-from kc2spice.core import laws
+from kc2spice.core import constitutive_laws as laws
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel, Shape
 from kc2spice.core.quantities import (
@@ -35,7 +35,15 @@ from kc2spice.parts.mechanics.mass import declare_point_mass
 from kc2spice.physics import Declaration, DeclaredPart, displacement
 from kc2spice.physics.part import make_pins
 from kc2spice.scene.checks import Gate, Metric, RunEnergyBalance, compute_motion_error_limit
-from kc2spice.scene.model import (
+from kc2spice.scene.part_records import (
+    EquilibriumConditions,
+    InitialState,
+    NeglectedEffect,
+    PartResult,
+)
+from kc2spice.scene.parttype import compute_pin_forces, register_part_type
+from kc2spice.scene.plausibility import check_range
+from kc2spice.scene.scene_classes import (
     GROUND,
     BuiltScene,
     DeclaredScene,
@@ -46,16 +54,8 @@ from kc2spice.scene.model import (
     Terminal,
     WiredScene,
 )
-from kc2spice.scene.part_records import (
-    EquilibriumConditions,
-    InitialState,
-    NeglectedEffect,
-    PartResult,
-)
-from kc2spice.scene.parttype import compute_pin_forces, register_part_type
-from kc2spice.scene.plausibility import check_range
 from kc2spice.scene.settings import ProbeKeys
-from kc2spice.synthesis.header import SIGN_TEXT
+from kc2spice.synthesis.library_headers import SIGN_TEXT
 
 AIR_VISCOSITY = 1.825e-5  # viscosity of air [Pa s]
 STEEL_DENSITY = 7850.0  # density of steel [kg/m^3]
@@ -102,7 +102,7 @@ class SphereKeys(Section):
     elastic: bool | dict[str, Any] | None = Field(
         None,
         description=(
-            "True for an elastic sphere, or a table with the keys damping, mesh and rom "
+            "True for an elastic sphere, or a table with the keys `damping`, `mesh` and `rom` "
             "of an elastic sphere; requires contact.shape = pressure. By default the "
             "sphere is rigid"
         ),
@@ -117,7 +117,8 @@ class SphereKeys(Section):
     height: Length = Field(
         0.0,
         description=(
-            "Height of the lowest point of the sphere at t = 0; requires the key `velocity`"
+            "Height of the sphere's lowest point at t = 0, above the undeformed surface below the "
+            "sphere; requires the key `velocity`"
         ),
     )
 
@@ -184,6 +185,10 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
         keys, begin = part.keys, scene.initial_states.get(part.name, REST_STATE)
         return declare_sphere(keys.mass, keys.radius, scene.gravity, begin.velocity, begin.height)
 
+    def has_weight(self, part: Part[SphereKeys]) -> bool:
+        """Return true, because gravity always acts on a sphere."""
+        return True
+
     def generate_tables(
         self, part: Part[SphereKeys], data: Mapping[str, object]
     ) -> Mapping[str, Mapping[str, object]]:
@@ -244,7 +249,10 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
     def governed_parts(
         self, part: Part[SphereKeys], scene: DeclaredScene
     ) -> Mapping[str, InitialState]:
-        """Return the sphere's initial state (velocity, height); empty if both are zero."""
+        """Return the governed part: the sphere, with its initial velocity and height.
+
+        The mapping is empty if velocity and height are zero.
+        """
         keys = part.keys
         moving = keys.velocity or keys.height
         return {part.name: InitialState(keys.velocity, keys.height)} if moving else {}
@@ -252,9 +260,10 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
     def equilibrium_conditions(
         self, part: Part[SphereKeys], scene: WiredScene
     ) -> EquilibriumConditions:
-        """Return the force path from ``base`` to ground, and the weight as load on ``v``.
+        """Return the equilibrium conditions: how forces reach ground, and the loaded pin.
 
-        A sphere with prescribed motion has no path and no weight.
+        The force path starts at the pin ``base``. The weight acts on the pin ``v``. If another part
+        prescribes the motion of the sphere, the result contains neither a force path nor a weight.
         """
         if _has_prescribed_motion(part, scene):
             return EquilibriumConditions()
@@ -263,9 +272,10 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
         )
 
     def settable_quantities(self, part: Part[SphereKeys], build: BuiltScene) -> Mapping[str, float]:
-        """Return initial node voltages of zero for a sphere without support.
+        """Return the node voltages that set the initial displacement and velocity.
 
-        The sphere begins at rest, and just touches the body below.
+        Both voltages are zero. They are set only if no part is joined to the pins ``v`` and
+        ``bottom``, and if the scene does not prescribe the initial state of the sphere.
         """
         joined = build.scene.list_joined_pins(part.name, "v")
         if (
@@ -282,7 +292,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
         return {f"{part.name}.{pin}": build.get_pin_vector(part, pin) for pin in ("y", "v")}
 
     def main_metrics(self, part: Part[SphereKeys], build: BuiltScene) -> Mapping[str, ProbeKeys]:
-        """Return the metrics that a simulator can compute: largest and final height."""
+        """Return the main metrics of the sphere as probes: largest and final height."""
         if build.scene.analysis.type != "transient" or part.name in build.scene.initial_states:
             return {}
         of = f"{part.name}.y"
@@ -348,7 +358,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
     def figures(
         self, part: Part[SphereKeys], build: BuiltScene, waves: Waveforms
     ) -> Iterator[Figure]:
-        """Yield the charts of the part for the report."""
+        """Yield the figures of the part for the report."""
         y = waves.data.get(f"{part.name}.y")
         if y is None or "time" not in waves:
             return
@@ -380,7 +390,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
         return begin.height, begin.velocity
 
     def law(self, part: Part[SphereKeys], build: BuiltScene) -> laws.Equations:
-        """Return the part's model equations, which are solved without a simulator."""
+        """Return the part's law: its model equations, solved by kc2spice without ngspice."""
         n, result = part.name, super().law(part, build)
         height = laws.scale_wave(f"{n}.bottom", constant=part.keys.radius)
         bottom = f"{n}.bottom"
@@ -415,7 +425,7 @@ def find_sphere(part: Part, scene: DeclaredScene) -> Part[SphereKeys]:
 
 
 def make_sphere_material(part: Part[SphereKeys]) -> Material:
-    """Return the material of the sphere with the key ``density``; by default steel."""
+    """Make the material of the sphere, by default steel, with the key ``density``."""
     return replace(_load_material(part.keys.material or "steel"), density=part.keys.density)
 
 
@@ -447,7 +457,7 @@ def _has_prescribed_motion(part: Part[SphereKeys], scene: GovernedScene) -> bool
 
 
 def find_height_offset(part: Part, pin: str, scene: WiredScene) -> float:
-    """Return the height [m] of a sphere's centre, relative to its coordinate.
+    """Return the height [m] of a sphere's centre at which its coordinate is zero.
 
     In the equations, the coordinate is the unknown height of the sphere. The sphere is connected to
     ``pin``. Without a sphere, the height is 0.
@@ -457,10 +467,10 @@ def find_height_offset(part: Part, pin: str, scene: WiredScene) -> float:
 
 
 def find_initial_height(part: Part, pin: str, scene: WiredScene) -> float | None:
-    """Return the height [m] of the centre of the sphere at ``pin`` at t = 0.
+    """Return the initial height [m] of the centre of a sphere connected to ``pin``.
 
-    Return None if no sphere is connected to the pin, or if an operating point determines the
-    height.
+    The initial height at t = 0 is measured from the surface on which the sphere rests. Return None
+    if no sphere is connected to the pin, or if an operating point determines the height.
     """
     ball, states = _find_sphere_at(part, pin, scene), scene.initial_states
     if ball is None or not states:

@@ -144,8 +144,8 @@ def balance_model(
 ) -> ReducedBasis | None:
     """Balance a first-order model by square roots of its two Gramians.
 
-    The result is None if the product of the square roots overflows, as for a model with poles at
-    1e21 1/s.
+    The result is None if the product of the two square roots of Gramians exceeds the float range.
+    For example, poles at 1e21 1/s cause such an overflow.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         product = observable.T @ controllable
@@ -156,7 +156,7 @@ def balance_model(
     V = controllable @ Zt[:count].T / np.sqrt(hankel[:count])
     W = observable @ U[:, :count] / np.sqrt(hankel[:count])
     A = -model.coefficients[0]
-    balanced = task.convert_from_first_order(
+    balanced = task.restore_units_and_rigid_modes(
         make_explicit_pencil(W.T @ A @ V, W.T @ model.B, model.C @ V, model.D)
     )
     vectors = scipy.linalg.block_diag(np.eye(balanced.free), V)
@@ -166,10 +166,11 @@ def balance_model(
 
 
 def compute_balancing_factors(size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return row factors r and column factors c, with ``r_i c_j`` near ``size_ij``.
+    """Return balancing factors of rows and columns: ``r_i c_j`` is near ``size_ij``.
 
-    ``size`` has the shape (..., rows, columns). The factors minimise the sum of the squared
-    differences between the logarithms of products and entries.
+    ``size`` contains the magnitudes of the entries of one or more matrices, in an array of shape
+    (..., rows, columns). The factors minimise the sum of the squares of ``log(r_i c_j) -
+    log(size_ij)`` over all entries.
     """
     log = np.log(np.where(size > 0, size, size.max(initial=0.0) or 1.0))
     half = 0.5 * log.mean(axis=(-2, -1))[..., None]
@@ -192,7 +193,7 @@ def _compute_gramian_root(T: np.ndarray, Q: np.ndarray, transposed: bool = False
 
 
 def _solve_sylvester(A: np.ndarray, B: np.ndarray, C: np.ndarray) -> np.ndarray:
-    """Solve ``A X + X B' = C`` for A and B in real Schur form by recursive division.
+    """Solve ``A X + X B' = C`` for X by recursion; A and B are in real Schur form.
 
     LAPACK computes one column of X after another. The recursion computes most of X by faster
     products of large blocks. Source: I. Jonsson, B. Kagstrom, ACM Trans. Math. Softw. 28 (2002)

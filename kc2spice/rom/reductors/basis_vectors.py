@@ -11,9 +11,10 @@ from kc2spice.core.errors import UsageError
 # Largest distance of a dependent unit vector from the span of earlier vectors, about 450 eps. The
 # rounding errors in a QR factorisation of a few hundred vectors are about 1e-14.
 DEPENDENT_BY_ROUNDING = 1e-13
-# Largest condition number of a basis V that is not orthonormalised.
+# A basis V whose condition number exceeds MAX_CONDITION is orthonormalised.
 # Rounding errors change the smallest eigenvalue of V'KV by eps times (condition number)^2.
-# For the condition number 1e3, this relative change is below 3e-10.
+# At a condition number of 1e3, rounding errors change the smallest eigenvalue by less than 3e-10 of
+# its value.
 MAX_CONDITION = 1e3
 
 
@@ -75,7 +76,7 @@ def require_vectors(value: Any, where: str, shape: tuple[int, int | None]) -> np
 def scale_to_unit_norm(V: np.ndarray) -> np.ndarray:
     """Scale vectors by powers of two, so that their norms are close to one.
 
-    The norms are then between 0.7 and 1.5. Scaling by powers of two causes no rounding errors.
+    Scaling by powers of two gives norms between 0.7 and 1.5, and causes no rounding errors.
     Orthonormal vectors do not change. The scale of a basis vector has no effect on the response of
     the reduced model. Without scaling, however, a reduced model could contain a mass of 1e-22 and
     another mass of 1. The small mass would then count as zero.
@@ -123,10 +124,13 @@ def _require_real_matrix(value: Any, where: str, rows: int) -> np.ndarray:
             hint="use real and imaginary parts: np.linalg.qr(np.hstack([V.real, V.imag]))[0]",
         )
     if V.dtype.kind not in "fiu":
+        name, dtype = type(value).__name__, getattr(value, "dtype", None)
         raise UsageError(
             "the vectors are not an array of numbers",
             where=where,
-            got=f"{type(value).__name__} of {getattr(value, 'dtype', 'no numbers')}",
+            got=f"an object of type {name} that contains no rectangular table of numbers"
+            if dtype is None
+            else f"an object of type {name} with elements of type {dtype}",
             expected=expected,
         )
     if V.ndim != 2:

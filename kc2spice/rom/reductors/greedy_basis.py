@@ -20,13 +20,13 @@ from kc2spice.core.errors import SimulationError
 from kc2spice.rom.error_estimate import compute_relative_errors
 from kc2spice.rom.pencil import Pencil, SchurComplement, compute_absolute_entries
 from kc2spice.rom.reductors.block_krylov import DEFLATION_LIMIT
-from kc2spice.rom.reductors.exact_samples import split_real_parts
+from kc2spice.rom.reductors.ill_conditioned_models import split_real_parts
 from kc2spice.rom.response import Response, sample_band
 from kc2spice.rom.rigid_body import ENERGY_FACTOR, estimate_energy_rounding, split_rigid_body
 from kc2spice.rom.rounding import ZERO_ENTRY_FACTOR, find_zero_entries
 
-# Largest residual of K x = B, relative to B, for which a model counts as supported.
-# The matrix K of an unsupported model is singular.
+# A model counts as supported if the residual of K x = B, relative to B, is at most this value.
+# A model without supports can move as a rigid body, so its matrix K is singular.
 SINGULAR_RESIDUAL = 1e-6
 # the following numbers were found by trials
 SKETCH_SIZE = 32  # number of random combinations of equations that represent all residuals
@@ -164,8 +164,8 @@ class GreedyBasis:
         """Separate rigid-body motions from the other unknowns of a projected model.
 
         A motion is a rigid-body motion if its energy is within the rounding errors of the entries
-        of the full model. If the model has a static response, no input excites a rigid-body motion,
-        and such motions are omitted.
+        of the full model. In a model with a static response, no input excites a rigid-body motion,
+        so rigid-body motions are omitted.
         """
         V, coefficients = self.modal_basis, self.pencil.coefficients
         sizes, eps = list(map(compute_absolute_entries, coefficients)), np.finfo(float).eps
@@ -191,7 +191,8 @@ class GreedyBasis:
         """Basis of the Krylov subspace, with one mode of the projected model per column.
 
         Projected matrices of thin bodies are small differences of large numbers. In a projection on
-        modes, fewer entries are small differences, so rounding errors are smaller.
+        modes, fewer matrix entries are small differences of large numbers, so rounding errors are
+        smaller.
         """
         return self.basis @ self.turn
 
@@ -221,7 +222,8 @@ class _ResidualSketch:
 def _compute_modes(pencil: Pencil) -> np.ndarray:
     """Return the undamped modes of a small symmetric second-order pencil.
 
-    For other pencils, return the unit matrix.
+    Return the unit matrix if the pencil is not symmetric, not of second order, or has a mass matrix
+    that is not positive definite.
     """
     if pencil.degree == 2 and pencil.is_symmetric:
         K, _, M = pencil.coefficients

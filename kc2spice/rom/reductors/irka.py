@@ -43,8 +43,8 @@ class Irka(Reductor):
 
     Examples
     --------
-    A model with one state has the same response as three relaxations at the mirror image of the
-    pole.
+    At the mirror image ``-p`` of its pole ``p``, the reduced model with one state has the same
+    response as the full model with three states.
 
     >>> import numpy as np
     >>> import kc2spice as kc
@@ -65,18 +65,19 @@ class Irka(Reductor):
     def obstacle(self, task: ReductionTask) -> str:
         """Explain why the method does not apply to the model; return "" if it applies.
 
-        The iteration starts from balanced truncation with unscaled inputs and outputs. The size
-        limit of this balanced truncation also limits the computing time of the iteration.
+        The iteration starts from balanced truncation with unscaled inputs and outputs. Intermediate
+        models with more than ``MAX_UNSCALED_STATES`` first-order states are refused, because
+        balanced truncation and the iteration would take too long.
         """
         return explain_no_gramians(task) or explain_too_large(
             task.first_order_response.pencil.size, MAX_UNSCALED_STATES
         )
 
     def basis(self, task: ReductionTask) -> ReducedBasis | None:
-        """Return locally optimal models of all orders, or None if none exists.
+        """Return a ``ReducedBasis`` of optimal models, or None for an unstable full model.
 
-        The models are computed at their first use. The result is None if the full model is not
-        strictly stable.
+        The models are locally optimal, and are computed at their first use. The result is None if
+        the full model is not strictly stable.
         """
         start = BalancedTruncation(scaled=False).basis(task)
         if start is None:
@@ -141,7 +142,7 @@ class OptimalModels(ReducedBasis):
                 f"estimate is valid",
                 stacklevel=2,
             )
-        return self.task.convert_from_first_order(reduced)
+        return self.task.restore_units_and_rigid_modes(reduced)
 
 
 def compute_residues(pencil: Pencil) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -154,7 +155,7 @@ def compute_residues(pencil: Pencil) -> tuple[np.ndarray, np.ndarray, np.ndarray
 
 
 def mirror_poles(poles: np.ndarray) -> np.ndarray:
-    """Mirror stable poles l to ``-l``, and conjugate unstable poles."""
+    """Replace each stable pole p by ``-p``, and each unstable pole p by ``conj(p)``."""
     return np.asarray(np.abs(poles.real) - 1j * poles.imag)
 
 

@@ -21,10 +21,12 @@ SINGULAR_VALUE_LIMIT = 1e-13
 # limits and factors of the fit of snapshot weights, found by trials
 MAX_SHORTENED_ORDER = 150  # largest order for which weights are fitted
 MAX_TRIALS = 12  # largest number of updates of the weights
-# smallest number of vectors beyond the order, from which a better basis is computed
+# To replace a basis of n vectors, fewer vectors are chosen from the span of a larger basis.
+# The larger basis has max(3 n, n + MIN_EXTRA_VECTORS) vectors.
 MIN_EXTRA_VECTORS = 20
-EXTRA_ERROR_SHARE = 0.5  # largest error with the additional vectors, relative to the tolerance
-# squared factor by which an update multiplies a weight at frequencies without error
+# A basis is not shortened if the error of the larger basis exceeds EXTRA_ERROR_SHARE * tolerance.
+EXTRA_ERROR_SHARE = 0.5
+# An update multiplies the weight of each frequency by sqrt(error / largest error + MIN_WEIGHT).
 MIN_WEIGHT = 0.05
 # factor by which each trial reduces the weights above the band, where the certificate does not
 # apply
@@ -36,9 +38,9 @@ class ResponsePod(Reductor):
 
     The first basis vectors are the static responses to the ports, so static gains are exact. The
     other vectors are left singular vectors of snapshots of the response. The snapshots are weighted
-    so that relative errors are small. In their coordinates, the elastic energy is a sum of squares.
-    If ``two_sided`` is true, snapshots of the dual model are added, which unsymmetric models
-    require.
+    so that relative errors are small. The singular vectors are computed in coordinates in which the
+    elastic energy is a sum of squares. If ``two_sided`` is true, snapshots of the dual model are
+    added, which unsymmetric models require.
 
     Examples
     --------
@@ -74,7 +76,7 @@ class ResponsePod(Reductor):
         states = _compute_weighted_states(
             task, response, points.s, points.weights(), self.two_sided
         )
-        vectors = _orthonormalise(np.hstack(states)[free:], static)
+        vectors = _extend_orthonormal_basis(np.hstack(states)[free:], static)
         pencil = response.pencil.project(scipy.linalg.block_diag(np.eye(free), vectors))
         pencil = task.prepend_rigid_modes(replace(pencil, free=free))
         fixed = pencil.free + (static.shape[1] if _has_loaded_port(task) else 0)
@@ -168,7 +170,7 @@ def _compute_static_responses(task: ReductionTask, response: Response) -> np.nda
 def _compute_weighted_states(
     task: ReductionTask, response: Response, s: np.ndarray, weight: np.ndarray, two_sided: bool
 ) -> list[np.ndarray]:
-    """Return weighted snapshots of the states, and of the dual if ``two_sided``."""
+    """Compute weighted snapshots of states, and of dual states if ``two_sided``."""
     H = task.response.transfer(s)
     result = [weight_states(response, s, weight, H, task.norm)]
     if two_sided:
@@ -180,8 +182,8 @@ def _compute_weighted_states(
 def _scale_states(states: np.ndarray, factors: np.ndarray) -> np.ndarray:
     """Multiply the state vectors of each frequency by the factor of this frequency.
 
-    ``states`` and the result have the shape (n, 2 frequencies inputs), with the real parts before
-    the imaginary parts.
+    ``states`` and the result have the shape (n, 2 * frequencies * inputs), with the real parts
+    before the imaginary parts.
     """
     inputs = states.shape[1] // (2 * len(factors))
     return np.asarray(states * np.tile(np.repeat(factors, inputs), 2))
@@ -210,8 +212,8 @@ def _compute_energy_basis(pencil: Pencil, omega: float, static: bool) -> np.ndar
     return np.eye(pencil.size)
 
 
-def _orthonormalise(columns: np.ndarray, first: np.ndarray) -> np.ndarray:
-    """Extend orthonormal vectors ``first`` by principal directions of ``columns``."""
+def _extend_orthonormal_basis(columns: np.ndarray, first: np.ndarray) -> np.ndarray:
+    """Extend an orthonormal basis ``first`` by principal directions of ``columns``."""
     for _ in range(2):  # the second projection removes rounding errors of the first
         columns = columns - first @ (first.T @ columns)
     return np.asarray(
@@ -220,7 +222,7 @@ def _orthonormalise(columns: np.ndarray, first: np.ndarray) -> np.ndarray:
 
 
 def _select_significant_directions(columns: np.ndarray) -> np.ndarray:
-    """Return the principal directions of ``columns`` that exceed rounding errors."""
+    """Select principal directions of ``columns`` with sizes above rounding errors."""
     U, size = _compute_principal_directions(columns)
     return np.asarray(
         U[:, size > SINGULAR_VALUE_LIMIT * max(size.max(initial=0.0), np.finfo(float).tiny)]

@@ -8,6 +8,7 @@ string is a single value.
 from __future__ import annotations
 
 import re
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -18,6 +19,7 @@ import numpy as np
 
 from kc2spice.core.errors import UsageError, did_you_mean, list_candidates
 from kc2spice.core.quantities import convert_quantity
+from kc2spice.core.units import NUMBER_WITH_UNIT
 from kc2spice.scene.keys import KeyDescription
 from kc2spice.scene.overrides import parse_override_value
 
@@ -27,13 +29,19 @@ PARAMETER_KEY = re.compile(r"param\.(\w+\.\w+)")
 _ZERO_NUMBER = re.compile(r"[+-]?(0+\.?0*|\.0+)([eE][-+]?\d+)?(?![\d.])")
 RANGE_GRAMMAR = "a:b:n, log:a:b:n, x,y,z, normal(mu,sigma,n) or uniform(a,b,n)"
 _DISTRIBUTION = re.compile(r"(normal|uniform)\s*\((.*)\)", re.DOTALL)
+# pattern of a distribution with any name, such as random(1,2,50)
+_NAMED_DISTRIBUTION = re.compile(r"([A-Za-z]\w*)\s*\((.*)\)", re.DOTALL)
+_NORMAL_NAMES = ("normal", "norm", "gauss", "gaussian")
 
 Values = tuple[Any, ...]
 
 
 @dataclass(frozen=True)
 class RandomSample:
-    """Range of ``n`` random values of a key: ``normal(a, b)`` or ``uniform(a, b)``."""
+    """Random values of a key, distributed as ``normal(a, b)`` or ``uniform(a, b)``.
+
+    ``n`` is the number of random values.
+    """
 
     kind: str
     a: float
@@ -49,7 +57,9 @@ class RandomSample:
             return tuple((self.a + (self.b - self.a) * share).tolist())
         from scipy.special import ndtri
 
-        share = np.clip(share, 2.0**-53, 1 - 2.0**-53)  # the normal quantile of 0 is infinite
+        # The normal distribution has infinite quantiles at the probabilities 0 and 1, so these
+        # probabilities are replaced.
+        share = np.clip(share, 2.0**-53, 1 - 2.0**-53)
         return tuple((self.a + self.b * ndtri(share)).tolist())
 
 
@@ -73,8 +83,8 @@ def _make_zero_crossing_error(text: str) -> UsageError:
 def split_range(text: str) -> tuple[str, list[str]]:
     """Return the kind of a range, and its fields as strings.
 
-    The kinds are ``value``, ``list``, ``linear``, ``log``, ``normal`` and ``uniform``. The first
-    field is a value that the key can have.
+    The kinds are ``value``, ``list``, ``linear``, ``log``, ``normal`` and ``uniform``. For every
+    kind of range, the scene can be loaded with the first field as the value of the swept key.
 
     Raises
     ------
@@ -96,6 +106,8 @@ def split_range(text: str) -> tuple[str, list[str]]:
                 else f"write the three values, such as {call[1]}(1,2,50)",
             )
         return call[1], words
+    _require_known_distribution(text)
+    _require_comma_separators(text)
     words = _split_words(text, ":")
     if len(words) > 1:
         kind, words = ("log", words[1:]) if words[0] == "log" else ("linear", words)
@@ -121,6 +133,88 @@ def split_range(text: str) -> tuple[str, list[str]]:
         )
     words = _split_words(text, ",")
     return ("list", words) if len(words) > 1 else ("value", words)
+
+
+def _require_known_distribution(text: str) -> None:
+    """Reject a range with an unknown distribution, such as ``random(1,2,50)``.
+
+    Raises
+    ------
+    UsageError : the text is an unknown name with three numbers in brackets.
+    """
+    call = _NAMED_DISTRIBUTION.fullmatch(text)
+    words = _split_words(call[2], ",") if call else []
+    if call and len(words) == 3 and all(map(NUMBER_WITH_UNIT.fullmatch, words)):
+        kind = "normal" if call[1].lower() in _NORMAL_NAMES else "uniform"
+        raise UsageError(
+            f"the distribution {call[1]} does not exist",
+            where="--set",
+            got=text,
+            expected="normal(MEAN,DEVIATION,POINTS) or uniform(LOW,HIGH,POINTS)",
+            hint=f"write {kind}({','.join(words)})",
+        )
+
+
+def _require_comma_separators(text: str) -> None:
+    """Reject a list of numbers that are separated by semicolons.
+
+    Raises
+    ------
+    UsageError : the text consists of numbers with semicolons between them.
+    """
+    words = _split_words(text, ";")
+    if len(words) > 1 and all(map(NUMBER_WITH_UNIT.fullmatch, words)):
+        raise UsageError(
+            "the values of a list are separated by semicolons",
+            where="--set",
+            got=text,
+            expected="a list VALUE,VALUE with commas",
+            hint=f"write {','.join(words)}",
+        )
+
+
+def require_equal_unit_use(words: Sequence[str], text: str, where: str, si_unit: str) -> None:
+    """Reject numbers of which only some have a unit, such as ``10 mg:30``.
+
+    ``text`` contains all the numbers in ``words``. Zero needs no unit.
+
+    Raises
+    ------
+    UsageError : some of the numbers have a unit, and others are plain numbers other than zero.
+    """
+    problem = _find_unequal_unit_use(words, text, where, si_unit)
+    if problem is not None:
+        raise problem
+
+
+def _find_unequal_unit_use(
+    words: Sequence[str], text: str, where: str, si_unit: str
+) -> UsageError | None:
+    """Return the error about numbers of which only some have a unit, or None.
+
+    A number without a unit is in the SI unit, so ``10 mg:30`` would be 10 mg to 30 kg. The
+    arguments are defined in :func:`require_equal_unit_use`.
+    """
+    numbers = list(map(NUMBER_WITH_UNIT.fullmatch, words))
+    units = [number[2] for number in numbers if number and float(number[1])]
+    if all(units) or not any(units):
+        return None
+    with_unit = next(number for number in numbers if number and number[2])
+    unit = with_unit[0][with_unit.end(1) :]  # with the blank before the unit, if there is one
+    advice, end = "", 0
+    for word, number in zip(words, numbers, strict=True):
+        begin = text.index(word, end)
+        advice, end = advice + text[end:begin] + word, begin + len(word)
+        if number and float(number[1]) and not number[2]:
+            advice += unit
+    plain = f"a number without a unit is in {si_unit}" if si_unit else "or plain numbers only"
+    return UsageError(
+        "only some of these values have a unit",
+        where=where,
+        got=text,
+        expected=f"a unit at every value; {plain}",
+        hint=f"write {advice}{text[end:]}",
+    )
 
 
 def _split_words(text: str, separator: str) -> list[str]:
@@ -163,6 +257,16 @@ def parse_range(name: str, text: str, keys: Mapping[str, KeyDescription]) -> Val
         """Return the error about an invalid range."""
         return UsageError(message, where=where, got=got, expected=expected, hint=hint)
 
+    if key.unit is not None and not (key.choices or key.integer):
+        if kind not in ("list", "value"):
+            require_equal_unit_use(words[:2], text, where, key.unit)
+        # a list may contain SI numbers beside values with a unit on purpose
+        elif problem := _find_unequal_unit_use(words, text, where, key.unit):
+            warnings.warn(
+                f"{where}: {problem.message}, and a number without a unit is in "
+                f"{key.unit or 'plain numbers'}; {problem.hint} if all values have the same unit",
+                stacklevel=2,
+            )
     if kind in ("list", "value"):
         values = list(map(partial(_parse_word, where, key), words))
     elif key.choices or (key.unit is None and (is_random or not key.integer)):
@@ -206,7 +310,7 @@ def parse_range(name: str, text: str, keys: Mapping[str, KeyDescription]) -> Val
     if len(set(map(repr, values))) < len(values):
         once = list(dict.fromkeys(words))
         hint = f"write {name}={','.join(once)}" if kind == "list" else "write two different ends"
-        raise make_range_error("a value occurs twice in this range", words, hint=hint)
+        raise make_range_error("a value occurs twice in this range", text, hint=hint)
     return tuple(values)
 
 
@@ -279,10 +383,11 @@ class SweepPoints:
         return result
 
     def list_end_points(self) -> list[dict[str, Any]]:
-        """Return the first point, and points in which one block is at an extreme value.
+        """List the first point, and points at which one key has an extreme value.
 
-        Each of these points differs from the first point in one block. At an end point, a number
-        has its smallest or largest value, or a string of a block occurs for the first time.
+        A block contains keys that vary together. Each listed end point differs from the first point
+        only in the keys of one block. A key with numbers has two end points, at its smallest and
+        largest number. A key with strings has one end point for each different string.
         """
         indices = [0]
         for k, block in enumerate(self.blocks):
@@ -295,9 +400,9 @@ class SweepPoints:
         return list(map(self.values, dict.fromkeys(indices)))
 
     def count_distinct(self, keys: Sequence[str]) -> int:
-        """Return the number of different combinations of the values of some keys.
+        """Return how many different combinations of values some keys have in the sweep.
 
-        ``keys`` are the compared keys. The combinations occur in the points of the sweep.
+        The combinations are the values of ``keys`` at each point of the sweep.
         """
         count = 1
         for block in self.blocks:
@@ -315,9 +420,9 @@ def make_plan(
 ) -> SweepPoints:
     """Plan the points of a sweep: by default, all combinations of the ranges.
 
-    With ``zipped``, all keys vary together. A random sample contains a value of every random key,
-    so that these keys form one block. With ``latin``, each of n equally likely intervals of a key
-    contains one value (McKay, Beckman, Conover 1979).
+    With ``zipped``, all keys vary together. Without ``zipped``, only the random keys vary together:
+    each random sample contains one value of every random key. With ``latin``, each of n equally
+    likely intervals of a key contains one value (McKay, Beckman, Conover 1979).
 
     Raises
     ------

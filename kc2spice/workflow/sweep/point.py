@@ -33,12 +33,13 @@ from kc2spice.netlist.transforms import (
     with_parameters,
 )
 from kc2spice.report.html import flatten_mapping
+from kc2spice.scene.catalogue import find_part
 from kc2spice.scene.load import load_scene
-from kc2spice.scene.model import BuiltScene, Scene
+from kc2spice.scene.scene_classes import BuiltScene, Scene
 from kc2spice.scene.scene_file import list_gallery
 from kc2spice.workflow.decks import prepare_deck
-from kc2spice.workflow.edited_parts import replace_key_value
-from kc2spice.workflow.models import find_value_units, replace_parts
+from kc2spice.workflow.part_models import find_value_units, replace_parts
+from kc2spice.workflow.parts_from_edited_deck import replace_key_value
 from kc2spice.workflow.simulation import Run, simulate_deck
 from kc2spice.workflow.sweep.grid import PARAMETER_KEY
 
@@ -55,7 +56,7 @@ Number = float | bool | None
 
 @dataclass(frozen=True)
 class SceneInput:
-    """Source of a scene: a built-in name, or TOML text with the files of the scene."""
+    """Source of a scene: a built-in name or part number, or TOML text with its files."""
 
     name: str
     text: str | None
@@ -94,9 +95,10 @@ def read_scene_text(name_or_path: str) -> SceneInput:
     ------
     UsageError : the scene does not exist, or one of its files is missing or not allowed.
     """
-    if name_or_path in list_gallery():
-        return SceneInput(name_or_path, None)
     path = Path(name_or_path)
+    is_part_number = find_part(name_or_path) is not None and not path.exists()
+    if name_or_path in list_gallery() or is_part_number:
+        return SceneInput(name_or_path, None)
     scene = load_scene(path)
     text = decode_text(read_bounded(path, MAX_TEXT_BYTES))
     return SceneInput(scene.name, text, tuple(read_scene_files(scene).items()))
@@ -226,11 +228,11 @@ def run_point(job: SweepSettings, values: Mapping[str, Any]) -> PointResult:
 def with_changed_parameters(
     build: BuiltScene, deck: Deck, values: Iterable[tuple[str, float]]
 ) -> BuiltScene:
-    """Return the build with changed parameter values, for metrics and checks.
+    """Return the built scene with changed parameter values, for metrics and checks.
 
-    If a key of a part has the name and the value of the parameter, the key receives the new value.
-    Otherwise, the keys of the part no longer describe the deck, and the part has neither checks nor
-    an energy balance.
+    If a key of a part has the name and the previous value of a changed parameter, the key is set to
+    the new value of the parameter. Otherwise, the keys of the part no longer describe the deck, and
+    the part has neither checks nor an energy balance.
     """
     known, parts, unchecked_parts = (
         list_parameter_defaults(deck),
@@ -276,7 +278,7 @@ def build_sweep_point(job: SweepSettings, values: Mapping[str, Any]) -> tuple[Bu
 
 @lru_cache(maxsize=_CACHED_DECKS)
 def _build_testbench(job: SweepSettings) -> tuple[BuiltScene, Deck]:
-    """Return the built scene and the deck of a sweep, without swept keys."""
+    """Build the testbench of a sweep: scene and deck with values of the scene file."""
     return prepare_deck(job.load({}), StageTimer())
 
 

@@ -15,6 +15,7 @@ from typing import Any
 from pydantic import TypeAdapter
 
 from kc2spice.core.errors import UsageError, unknown
+from kc2spice.core.files import open_folder_of_file
 from kc2spice.core.optional_libraries import import_optional
 from kc2spice.core.toml_text import format_toml
 from kc2spice.core.waveforms import quote_csv_cell
@@ -35,6 +36,11 @@ commit;
 # words in the messages of SQLite about a file that cannot be written
 _WRITE_FAILURES = ("readonly", "unable to open", "is full", "I/O error")
 _OUTCOME_ADAPTER = TypeAdapter(PointResult)
+# suffixes of table formats that kc2spice does not write; every other suffix means CSV or Parquet
+_OTHER_TABLE_FORMATS = (
+    ".xlsx", ".xls", ".xlsm", ".ods", ".json", ".html", ".tsv", ".h5", ".hdf5", ".feather", ".pkl",
+    ".npy", ".npz", ".mat",
+)  # fmt: skip
 
 
 class RowStore:
@@ -85,8 +91,8 @@ class RowStore:
             raise UsageError(
                 "this directory contains the results of another sweep",
                 where=str(path.parent),
-                got=f"plan {stored}"[:80],
-                expected=f"plan {digest}",
+                got="results of another scene, or of other keys, values or options",
+                expected="a new directory, or the directory of the same sweep",
                 hint="choose another --out, or delete this directory",
             )
 
@@ -146,7 +152,7 @@ def require_columns(outcome: PointResult, names: Sequence[str], scene: str) -> N
             "this scene has no metric that is a number, so the table of the sweep is empty",
             where=scene,
             expected="a scene with metrics that are numbers, or with [probes]",
-            hint="use kc2spice run with --set to compute the curves of one point",
+            hint="use kc2spice run with --set to compute the curves at one point of the sweep",
         )
 
 
@@ -190,10 +196,39 @@ def _format_csv_cell(value: Any) -> str | None:
     return None if value is None else format_toml(value)
 
 
-def write_parquet(table: Mapping[str, Sequence[Any]], path: Path) -> None:
-    """Write a table as Parquet, which keeps the types of the numbers."""
-    arrow = import_optional("pyarrow", "--format")
-    parquet = import_optional("pyarrow.parquet", "--format")
+def save_table(table: Mapping[str, Sequence[Any]], path: str | Path) -> Path:
+    """Write a table as Parquet if the path ends in ``.parquet``, otherwise as CSV.
+
+    Raises
+    ------
+    UsageError : the suffix of the path is the suffix of another table format, or the file cannot be
+        written.
+    MissingToolError : the format is Parquet, and pyarrow is not installed.
+    """
+    with open_folder_of_file(path) as file:
+        suffix = file.suffix.lower()
+        if suffix in _OTHER_TABLE_FORMATS:
+            raise UsageError(
+                f"a table cannot be saved in the format {suffix}",
+                where="path",
+                got=repr(str(path)),
+                expected="a name that ends in .csv or .parquet",
+                hint=f'write "{file.with_suffix(".csv")}", which spreadsheet programs open',
+            )
+        if suffix == ".parquet":
+            write_parquet(table, file, "save")
+        else:
+            write_csv(table, file)
+    return file
+
+
+def write_parquet(table: Mapping[str, Sequence[Any]], path: Path, where: str = "--format") -> None:
+    """Write a table as Parquet, which keeps the types of the numbers.
+
+    ``where`` is the option or method that needs pyarrow, for the error if it is not installed.
+    """
+    arrow = import_optional("pyarrow", where)
+    parquet = import_optional("pyarrow.parquet", where)
 
     empty = {name for name, column in table.items() if all(value is None for value in column)}
     kinds = {name: arrow.float64() if name in empty else None for name in table}

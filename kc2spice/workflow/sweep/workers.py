@@ -142,7 +142,7 @@ def make_dask_connector(address: str, count: int, patience: float = 10.0) -> Wor
                 client.wait_for_workers(1, timeout=limit)
             except (OSError, TimeoutError, ValueError) as error:
                 raise MissingToolError(
-                    "no Dask scheduler with workers answers",
+                    "no Dask scheduler with workers replies at this address",
                     where="--dask",
                     got=f"{address}: {error}".splitlines()[0][:200],
                     expected="the address of a running scheduler, such as tcp://host:8786",

@@ -18,9 +18,9 @@ from kc2spice.core.progress import StageTimer
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Item
 from kc2spice.netlist.deck import Deck, make_ac_command
-from kc2spice.netlist.library import Subcircuit
+from kc2spice.netlist.number_and_name_spelling import LEAK_RATE
 from kc2spice.netlist.shared_cards import add_title
-from kc2spice.netlist.spelling import LEAK_RATE
+from kc2spice.netlist.subcircuit_library import Subcircuit
 from kc2spice.parts.bodies._body_model import find_full_model
 from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.report.verify_page import VerificationResult, plot_port_responses
@@ -34,11 +34,11 @@ from kc2spice.rom.modal_models import compute_resonators
 from kc2spice.rom.response import DirectResponse, Response
 from kc2spice.rom.stability import prove_stability
 from kc2spice.scene.checks import Check
-from kc2spice.scene.model import BuiltScene, Part
+from kc2spice.scene.scene_classes import BuiltScene, Part
 from kc2spice.sim.ngspice import run_deck
-from kc2spice.synthesis.circuit_error import accelerates_frame, compute_reaction_mass
+from kc2spice.synthesis.circuit_error import accelerates_frame, compute_body_mass
 from kc2spice.synthesis.heat_netlist import is_heat_model
-from kc2spice.synthesis.realize import make_unit_load_cards
+from kc2spice.synthesis.model_to_subcircuit import make_unit_load_cards
 
 # Numbers of frequencies at which a large full model is solved: by default, and with ``--full``.
 SAMPLE_FREQUENCIES = 3
@@ -46,10 +46,12 @@ FULL_FREQUENCIES = 40
 # number of unknowns up to which a full model is solved at all frequencies
 MAX_DIRECT_UNKNOWNS = 3000
 NETLIST_FREQUENCIES = 120  # number of frequencies at which the netlist is simulated
-# Largest accepted difference, as a multiple of the effect of the leaks of electrical ports.
+# Largest accepted difference between netlist and reduced model, divided by the share of a port's
+# current that flows through the leak conductance of the port.
 MAX_LEAK_RATIO = 2.0
-SOLVER_ROUNDING = 1e-9  # largest difference of two direct solutions of a full model
-# number of solutions in random units from which rounding errors are estimated
+# largest accepted relative difference between two direct solutions of a full model
+SOLVER_ROUNDING = 1e-9
+# number of solutions with randomly scaled unknowns; their differences show the rounding errors
 ROUNDING_TRIALS = 3
 # smallest accepted ratio of a limit to the rounding errors of the full model
 ROUNDING_MARGIN = 10.0
@@ -66,7 +68,7 @@ def verify_body(
     thorough: bool,
     findings: VerificationResult,
 ) -> None:
-    """Compare a body's full model, reduced model and netlist, and add the findings.
+    """Compare a body's full model, reduced model and netlist; extend ``findings``.
 
     ``libraries`` are the tested subcircuits, from an exported deck or from this run. The largest
     accepted error of the reduced model is the error estimate in its certificate, which is within
@@ -153,11 +155,12 @@ def list_netlist_checks(
 ) -> list[Check]:
     """Return checks of the frequency response of a body's netlist.
 
-    ``emitted`` is an array of shape (frequencies, outputs, inputs). ``emitted`` is compared with
-    the response of the reduced model, for all ports together. For each electrical port, the
-    capacitance, and the charge due to loads on other ports, are compared separately, each relative
-    to its own size. ``gate`` is the largest accepted error. Other checks are passivity and
-    reciprocity. ``given`` are the indices of the ports with prescribed temperatures.
+    ``emitted`` is the response of the netlist, an array of shape (frequencies, outputs, inputs).
+    For all ports together, the response of the netlist is compared with the response of the reduced
+    model. For each electrical port, the capacitance, and the charge due to loads on other ports,
+    are compared separately, each relative to its own size. ``gate`` is the largest accepted error.
+    Other checks are passivity and reciprocity. ``given`` are the indices of the ports with
+    prescribed temperatures.
     """
     exact = solve_reduced(rom, frequency)
     electrical = [port.name for port in rom.ports if port.is_paired]
@@ -178,10 +181,11 @@ def list_netlist_checks(
             Check(name + words, compute_relative_error(emitted[at], exact[at]), max(gate, leaked))
         )
     if all(port.conservative for port in rom.ports):
-        # A load separates charge, which flows off through a leak of the port.
-        # In the opposite direction, a voltage across a leak causes no force.
+        # Leaks of electrical ports make the netlist slightly non-reciprocal.
+        # Charge due to a force flows off through a leak; a voltage across a leak causes no force.
+        # The limit therefore includes the effect of leaks.
         limit = max(NETLIST_ROUNDING, leaked)
-        checks += list_structure_checks(
+        checks += list_passivity_and_reciprocity_checks(
             f"{name}: netlist", frequency, emitted, limit, rates=not is_heat_model(rom)
         )
     return checks
@@ -208,13 +212,17 @@ def compare_responses(
 
     ``response`` and ``exact`` are arrays of shape (frequencies, outputs, inputs).
 
-    The responses H from heat flows q to temperatures T decay exponentially between distant ports.
-    If the temperatures of ports c are ``given``, the temperatures of the other ports s are compared
-    by T_s = (H_ss - H_sc H_cc^-1 H_cs) q_s + H_sc H_cc^-1 T_c. The error of the first term is
-    relative to its entries, and the error of the second term is relative to T_c. The error of the
-    heat flow of prescribed temperatures, ``H_cc^-1``, is relative to its entries plus ``stored``
-    [W/K]. At each frequency, ``stored`` is the heat flow that changes the temperature of the whole
-    body by 1 K. The certificate states the error of the inner temperatures relative to ``stored``.
+    The responses H from heat flows q to temperatures T decrease exponentially with the distance
+    between ports. If the temperatures ``T_c`` of the ports c are prescribed (``given``), the
+    temperatures of all other ports s are ``T_s = (H_ss - H_sc H_cc^-1 H_cs) q_s + H_sc H_cc^-1
+    T_c``. For prescribed temperatures, the function compares the two matrices in the equation of
+    ``T_s``, and the heat flows into the ports c. The error of the matrix ``H_ss - H_sc H_cc^-1
+    H_cs`` is relative to the entries of the matrix. The error of ``H_sc H_cc^-1 T_c`` is relative
+    to the prescribed temperatures ``T_c``. The matrix ``H_cc^-1`` maps prescribed temperatures of
+    the ports c to the heat flows into the ports c. The error of each entry of ``H_cc^-1`` is
+    divided by the magnitude of the entry plus ``stored`` [W/K]. At each frequency, ``stored`` is
+    the heat flow that changes the temperature of the whole body by 1 K. The certificate states the
+    error of the inner temperatures relative to ``stored``.
     """
     if not given:
         return compute_relative_error(response, exact)
@@ -238,10 +246,10 @@ def _convert_to_hybrid_parameters(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Convert thermal responses to use temperatures as inputs at the ports ``given``.
 
-    The result consists of three matrices. The first matrix contains the responses of the other
-    ports to their heat flows. The second matrix contains the responses of the other ports to the
-    given temperatures. The third matrix, ``H_cc^-1``, contains the heat flows at the given
-    temperatures (ports c).
+    The first returned matrix contains the responses of the other ports to their heat flows. The
+    second matrix contains the responses of the other ports to the given temperatures. The third
+    matrix, ``H_cc^-1``, maps the temperatures of the ports ``given`` to the heat flows into these
+    ports.
     """
     others = [k for k in range(H.shape[1]) if k not in given]
     admittance = np.linalg.inv(H[:, given][:, :, given])
@@ -268,8 +276,8 @@ def list_rom_checks(name: str, rom: LinearModel, band: tuple[float, float]) -> l
         rightmost = float((-modal.damp / (2 * modal.omega)).max())
         limit = 0.0
     else:
-        # Rounding errors shift the poles at zero of an unsupported body.
-        # The matrices of the unsupported body show that no mode grows.
+        # A body without supports has poles at s = 0, which rounding errors shift.
+        # The poles are not computed if definite matrices prove that no mode of the model grows.
         rightmost, limit = 0.0, SOLVER_ROUNDING
         if prove_stability(rom.pencil.make_dense(), band).proof != "definite matrices":
             poles = rom.poles()
@@ -279,14 +287,16 @@ def list_rom_checks(name: str, rom: LinearModel, band: tuple[float, float]) -> l
     if all(port.conservative for port in rom.ports) and rom.symmetric:
         frequency = np.linspace(0.0, band[1], 202)[1:]
         H, rates = rom.transfer(frequency), not is_heat_model(rom)
-        result += list_structure_checks(f"{name}: ROM", frequency, H, MODEL_ROUNDING, rates=rates)
+        result += list_passivity_and_reciprocity_checks(
+            f"{name}: ROM", frequency, H, MODEL_ROUNDING, rates=rates
+        )
     return result
 
 
-def list_structure_checks(
+def list_passivity_and_reciprocity_checks(
     name: str, frequency: np.ndarray, H: np.ndarray, limit: float, *, rates: bool = True
 ) -> list[Check]:
-    """Return checks that a frequency response is passive and reciprocal.
+    """List checks that a frequency response is passive and reciprocal.
 
     ``Re (s H)`` must be positive semi-definite, and H must be symmetric. For heat models (without
     ``rates``), ``Re H`` is checked instead. ``s H`` maps forces and voltages to velocities and
@@ -294,8 +304,9 @@ def list_structure_checks(
     Hermitian part of ``s H`` (of H for heat models) has no negative eigenvalue at any frequency.
     Eigenvalues are relative to the largest entry of the balanced response, in which all ports have
     the same scale. Reciprocity is checked for each pair of ports, relative to the response between
-    these ports. In heat models, deviations from reciprocity are relative to the balanced response,
-    because responses between distant ports decay exponentially.
+    these ports. In heat models, deviations from reciprocity are relative to the geometric mean of
+    the two ports' largest self-responses, because responses between distant ports decay
+    exponentially.
     """
     balance = np.sqrt(np.abs(np.diagonal(H, axis1=1, axis2=2)).max(axis=0))
     H = H / np.outer(balance, balance)
@@ -343,8 +354,10 @@ def simulate_netlist_response(
         row = rom.outputs.index(port.name) if port.kind != "input" else -1
         if port.has_charge_output:
             H[:, row] /= s
-        elif accelerates_frame(port):  # the force m a - s^2 y flows into the pin
-            mass = compute_reaction_mass(rom, port) * (np.array(rom.inputs) == port.name)
+        elif accelerates_frame(port):
+            # For the frame acceleration a, the force into the pin is ``m a - s^2 y``, with the mass
+            # m of the body and the output y of the reduced model.
+            mass = compute_body_mass(rom, port) * (np.array(rom.inputs) == port.name)
             H[:, row] = (mass - H[:, row]) / s**2
     return frequency, H
 
@@ -359,10 +372,10 @@ def _make_response_deck(
     library = next((item for item in libraries if shape.fullmatch(item.name)), None)
     if library is None:
         raise UsageError(
-            "the deck has no subcircuit of this part",
+            "the deck includes no library with the subcircuit of this part",
             where=part.name,
-            got=library_name,
-            expected=", ".join(item.name for item in libraries) or "a library",
+            got=", ".join(item.name for item in libraries) or "no library",
+            expected=f"a library with the subcircuit {library_name}",
         )
     rom = build.model(part, LinearModel)
     items: list[Item] = []
@@ -409,9 +422,10 @@ def _find_accurate_solutions(
 ) -> np.ndarray:
     """Return a mask of the frequencies at which the full model's response is accurate.
 
-    Rounding errors are estimated from solutions in other units of the unknowns, which change only
-    the rounding errors of the response. At low frequencies, the inertia of an unsupported body is a
-    small difference of large elastic forces, which causes the largest rounding errors.
+    To estimate rounding errors, the model is solved again with random units of its unknowns.
+    Without rounding errors, the response would not depend on these units. At low frequencies, the
+    inertia of an unsupported body is a small difference of large elastic forces, which causes the
+    largest rounding errors.
     """
     rng, s = np.random.default_rng(0), 2j * np.pi * at
     units = rng.uniform(1.0, 2.0, (ROUNDING_TRIALS, full.order))
@@ -431,12 +445,13 @@ def choose_verified_band(rom: LinearModel, build: BuiltScene) -> tuple[float, fl
 def _list_error_frequencies(rom: LinearModel, band: tuple[float, float]) -> np.ndarray:
     """Return ascending frequencies [Hz] at which errors are large, such as resonances."""
     result = choose_adaptive_frequencies(Response(rom.pencil.make_dense()), band, static=False)
-    # Frequencies have four digits, so that models that differ only in ports share the frequencies.
+    # Frequencies are rounded to four significant digits.
+    # Models that differ only in their ports therefore have the same frequencies.
     return np.unique([float(f"{f:.4g}") for f in result if f > 0])
 
 
 def _select_frequencies(rom: LinearModel, at: np.ndarray, count: int) -> np.ndarray:
-    """Select a limited number of frequencies, half of them at large responses.
+    """Select at most ``count`` frequencies, half of them with the largest responses.
 
     Half of the result are the frequencies with the largest responses. The other half of the result
     is spread over all frequencies.
@@ -453,7 +468,7 @@ def _select_frequencies(rom: LinearModel, at: np.ndarray, count: int) -> np.ndar
 
 
 def _label_waves(frequency: np.ndarray, H: np.ndarray, rom: LinearModel) -> Waveforms:
-    """Return frequency responses as waves, named after input and output port."""
+    """Return frequency responses as waveforms, named after input and output port."""
     data = {"frequency": frequency}
     for o, output in enumerate(rom.outputs):
         for i, source in enumerate(rom.inputs):

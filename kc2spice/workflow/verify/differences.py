@@ -1,4 +1,4 @@
-"""Differences between two solutions of a scene, and checks of the gates."""
+"""Differences between two solutions of a scene, and checks against error limits."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.netlist.powers import add_powers
+from kc2spice.netlist.power_waveforms import add_powers
 from kc2spice.scene.checks import Check, Gate
 from kc2spice.scene.metrics import compute_metrics
-from kc2spice.scene.model import BuiltScene
 from kc2spice.scene.results import collect_powers
+from kc2spice.scene.scene_classes import BuiltScene
 from kc2spice.workflow.simulation import correct_waves
 
 # smallest reference of a relative error, as a fraction of the largest value
@@ -24,13 +24,13 @@ MIN_REFERENCE_SHARE = 1e-6
 # largest motion at rest due to rounding errors, as a fraction of the body's size
 REST_MOTION = 1e-9
 ZERO_CURRENT = 1e-150  # smaller currents count as zero, because their squares underflow
-# Smallest reference of a metric error, as a fraction of the largest wave with the same unit.
+# A metric error is divided by at least this fraction of the largest wave with the same unit.
 MIN_METRIC_SHARE = 1e-3
 
 
 @dataclass(frozen=True)
 class Solution:
-    """Solution of a scene: waves, metrics and units."""
+    """Solution of a scene: waveforms, metrics and units."""
 
     waves: Waveforms
     metrics: Mapping[str, Any]
@@ -39,7 +39,11 @@ class Solution:
 
 @dataclass(frozen=True)
 class OutputDeviation:
-    """Largest and rms error of one wave between two solutions, relative to the wave."""
+    """Relative difference of one waveform between two solutions.
+
+    ``largest`` is the largest difference, relative to the largest magnitude of the waveform.
+    ``rms`` is the rms difference, relative to the rms value of the waveform.
+    """
 
     pair: str
     output: str
@@ -48,7 +52,7 @@ class OutputDeviation:
 
 
 def complete_solution(waves: Waveforms, build: BuiltScene) -> Solution:
-    """Return a solution with the powers and metrics that follow from its waves."""
+    """Return a solution with the powers and metrics that follow from its waveforms."""
     waves, known = correct_waves(waves, build), {}
     for name, terms in collect_powers(build, waves.data).items():
         if all(term.result_names <= set(waves) for term in terms):
@@ -60,13 +64,13 @@ def complete_solution(waves: Waveforms, build: BuiltScene) -> Solution:
 def list_gate_checks(
     gates: Iterable[tuple[str, Gate]], pair: str, ours: Solution, exact: Solution
 ) -> tuple[list[Check], float | None]:
-    """Compare two solutions; return a check for each gate and the largest difference.
+    """Compare two solutions; return a check for each error limit in ``gates``.
 
-    A gate is a pass limit. In the record of a verification, the error of a pair of solutions is the
-    largest difference of a main gate.
+    The second result is the largest difference in the results whose gate has ``is_main = True``. A
+    verification records this difference as the error of the pair of solutions.
 
-    ``gates`` are pairs of a part's name and its gate. If several parts have the same metric, each
-    gate applies to the metric of its part.
+    ``gates`` contains pairs of a part's name and a gate, which is the error limit of one result. If
+    several parts have the same metric, each gate applies to the metric of its part.
     """
     limits, leading = [], []
     words = pair.replace("rom", "ROM").replace("fom", "full model").replace("_vs_", " to ")
@@ -86,7 +90,7 @@ def list_gate_checks(
 
 
 def compute_gate_difference(gate: Gate, ours: Solution, exact: Solution) -> float | None:
-    """Return the difference between two solutions in the value that a gate limits.
+    """Compute the difference of two solutions in the result that ``gate`` limits.
 
     A solution can lack the value, such as the launch velocity of a body that is not launched. If
     both solutions lack the value, the result is None. If one solution lacks the value, the result
@@ -106,10 +110,10 @@ def compute_gate_difference(gate: Gate, ours: Solution, exact: Solution) -> floa
 def _compute_wave_difference(
     gate: Gate, waves: Waveforms, exact: Waveforms, names: Sequence[str]
 ) -> float:
-    """Return the difference of waves between two solutions, in the gate's measure.
+    """Return the largest waveform difference of two solutions, absolute or relative.
 
-    ``names`` are the compared waves. The key ``measure`` of the gate defines how the difference is
-    measured.
+    ``gate`` is the error limit. ``names`` are the compared waves. ``gate.measure`` states whether
+    the difference is absolute or relative, and which value divides a relative difference.
     """
     early = exact.scale <= gate.share * exact.scale[-1] if gate.share < 1.0 else slice(None)
     pairs = []
@@ -136,7 +140,7 @@ def _compute_wave_difference(
 
 
 def _find_largest_relative_change(a: np.ndarray, b: np.ndarray) -> float:
-    """Return the largest relative difference between the values of two waves.
+    """Return the largest relative difference between the values of two waveforms.
 
     The difference is relative to the magnitudes in ``b``.
     """
@@ -148,7 +152,7 @@ def _find_largest_relative_change(a: np.ndarray, b: np.ndarray) -> float:
 def align_wave(
     waves: Waveforms, exact: Waveforms, name: str
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return common points of two solutions, and one wave of both at these points.
+    """Return the common points of two solutions, and a waveform of each solution.
 
     The points are the points of the coarser solution, within the times that both solutions contain.
     """
@@ -161,7 +165,7 @@ def align_wave(
 
 
 def _interpolate_wave(times: np.ndarray, waves: Waveforms, name: str) -> np.ndarray:
-    """Interpolate a wave at other time points.
+    """Interpolate a waveform at other time points.
 
     A displacement with a known velocity is interpolated by cubic polynomials, and any other wave
     linearly.
@@ -177,7 +181,7 @@ def _interpolate_wave(times: np.ndarray, waves: Waveforms, name: str) -> np.ndar
 
 
 def compute_output_errors(pair: str, waves: Waveforms, exact: Waveforms) -> list[OutputDeviation]:
-    """Return the error of every wave that both solutions contain.
+    """Return the error of every waveform that both solutions contain.
 
     Waves that are zero within rounding errors are left out. The rms error is an integral over time,
     because a mean over points would overweight the closely spaced points at a contact.
@@ -200,7 +204,7 @@ def compute_output_errors(pair: str, waves: Waveforms, exact: Waveforms) -> list
 
 
 def _integrate_square(values: np.ndarray, points: np.ndarray) -> float:
-    """Integrate the squared magnitude of a wave.
+    """Integrate the squared magnitude of a waveform.
 
     For a single point, the result is the squared magnitude.
     """
@@ -250,10 +254,11 @@ def list_metric_errors(
 
 
 def _find_largest_with_unit(unit: str, waves: Waveforms, units: Mapping[str, str]) -> float:
-    """Return the largest value of all waves that have a given unit.
+    """Return the largest value of all waveforms that have a given unit.
 
-    For seconds, the result is the simulated time. Without a unit, the result is 0, because no wave
-    is comparable with a number such as a coupling factor.
+    For the unit ``"s"``, the result is the duration of the simulated time range. For a number
+    without a unit, such as a coupling factor, the result is 0, because no wave is a reference for
+    the number.
     """
     if not unit:
         return 0.0

@@ -11,16 +11,16 @@ from dataclasses import replace
 from itertools import chain
 from typing import Any
 
+from kc2spice.core.constitutive_laws import Law, PortBody
 from kc2spice.core.errors import SimulationError
-from kc2spice.core.laws import Law, PortBody
 from kc2spice.core.progress import StageTimer
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.equations.networks import Network
-from kc2spice.equations.replay import select_networks_to_solve
+from kc2spice.equations.recorded_sources import select_networks_to_solve
 from kc2spice.equations.scene_laws import get_scene_laws, store_laws
+from kc2spice.rom.full_model_surrogate import make_surrogate
 from kc2spice.rom.linear_model import LinearModel
-from kc2spice.rom.surrogate import make_surrogate
-from kc2spice.scene.model import BuiltScene
+from kc2spice.scene.scene_classes import BuiltScene
 from kc2spice.workflow.verify.full_transient import (
     FullSolution,
     add_differences,
@@ -33,7 +33,7 @@ MAX_DIRECT_UNKNOWNS = 3000  # number of unknowns up to which every frequency is 
 
 
 def with_full_models(build: BuiltScene, clock: StageTimer) -> BuiltScene | None:
-    """Return the build with full instead of reduced models; None without full models.
+    """Return the built scene with full, not reduced, models; None without full models.
 
     The result is None if no part has a full model. In a transient, only bodies have full models.
     The integrator solves the equations of a full model at its ports.
@@ -53,7 +53,7 @@ def with_full_models(build: BuiltScene, clock: StageTimer) -> BuiltScene | None:
 def with_finer_models(
     build: BuiltScene, parts: Iterable[str], clock: StageTimer
 ) -> BuiltScene | None:
-    """Return the build with finer discretisations of parts; None if no part has one.
+    """Return the built scene with finer discretisations, or None if no part has any.
 
     The result is None if no part has a finer discretisation. Examples are a squeezed gas film with
     more branches and a conductor with more current loops.
@@ -67,7 +67,7 @@ def with_finer_models(
 
 
 def _with_models(build: BuiltScene, models: Mapping[str, Any]) -> BuiltScene:
-    """Return a build in which the models of some parts are replaced."""
+    """Return the built scene with the models of some parts replaced."""
     return store_laws(replace(build, models={**build.models, **models}))
 
 
@@ -95,8 +95,9 @@ def solve_full_models(
 ) -> FullSolution | None:
     """Solve the scene with its full models; None if no network contains a full model.
 
-    ``ours`` are the waves of ngspice, which prescribe the values of sources on ``replayed`` nets.
-    ``exact`` is the solution with the reduced models. With ``thorough``,
+    ``ours`` contains the waveforms that ngspice computed. Sources impose waveforms of ``ours`` on
+    the nets in ``replayed``. ``exact`` is the solution of the equations with reduced models, which
+    kc2spice computes without ngspice. With ``thorough``,
     :data:`kc2spice.workflow.verify.full_transient.FULL_STEP_FACTOR` times as many steps are
     allowed, and no full model is replaced by a surrogate.
 

@@ -1,10 +1,13 @@
 """Transient with full models, as a correction of the reduced models' solution.
 
 An integrator with equal steps (:mod:`kc2spice.reference.fixed_step_integrator`) solves the scene
-with full and with reduced models. The difference between the two solutions is added to the exact
-solution with the reduced models. The time steps cause nearly the same error in both solutions, so
-that most of this error cancels in the difference. A second difference, with steps twice as long,
-shows the remaining error.
+with full and with reduced models. The difference between the integrator's solutions with full and
+with reduced models is the effect of the model reduction. To obtain a solution with full models, the
+effect of the model reduction is added to the accurate solution with reduced models. The time steps
+cause nearly the same error with full and with reduced models, so that most of this error cancels in
+the difference. The integrator computes the difference between full and reduced models again with
+steps twice as long. The change due to the longer steps is an estimate of the error that remains in
+the difference.
 """
 
 from __future__ import annotations
@@ -16,7 +19,7 @@ from itertools import chain
 
 import numpy as np
 
-from kc2spice.core.laws import PortBody, evaluate_combinations
+from kc2spice.core.constitutive_laws import PortBody, evaluate_combinations
 from kc2spice.core.progress import StageTimer
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.equations.networks import Network
@@ -24,28 +27,31 @@ from kc2spice.reference.fixed_step_integrator import integrate_steps
 from kc2spice.reference.radau_integrator import Trajectory
 from kc2spice.reference.system import System, assemble_system
 from kc2spice.rom.linear_model import LinearModel
-from kc2spice.scene.model import BuiltScene
+from kc2spice.scene.scene_classes import BuiltScene
 from kc2spice.workflow.verify.body_verification import choose_verified_band
 from kc2spice.workflow.verify.law_solution import LawSolution
 
 # Number of time steps per period of the highest frequency in the band of a reduced model.
 STEPS_PER_PERIOD = 80
-MAX_STEPS_PER_PERIOD = 800  # number of time steps per period of a resonance in a short scene
+# Largest number of time steps per period of the highest frequency; short runs use this number.
+MAX_STEPS_PER_PERIOD = 800
 MAX_WORK = 1e7  # largest product of the numbers of unknowns and time steps of a full model
-# largest number of time steps; with small models, other parts take most of the time
+# Largest number of time steps. If the bodies have few unknowns, this limit applies instead of
+# MAX_WORK, because other parts of the scene take most of the computing time.
 MAX_STEPS = 4000
 FULL_STEP_FACTOR = 100.0  # factor by which --full multiplies the largest number of steps
 # Largest motion of a body's port that counts as rest, relative to the range of motion.
 # The second value of REST_MOTIONS applies if a small motion precedes the load.
 # An example of a small motion is the ripple of a pulse-width modulated force.
 # The solutions of the full and of the reduced model both neglect the small motion.
-# The error of the difference of both solutions is therefore the product of two small quantities.
+# The difference between the two solutions therefore has only a small error, the product of the
+# neglected motion and the relative difference between the models.
 REST_MOTIONS = (1e-9, 1e-3)
 
 
 @dataclass(frozen=True)
 class FullSolution:
-    """Waves of the full models at the times of the reduced models' waves.
+    """Waveforms of the full models at the times of the reduced models' waveforms.
 
     The waves cover the time range ``[0, end]``. ``coarse`` are the waves with steps twice as long.
     ``end`` is the end of the compared time range [s]; None without a transient.
@@ -67,7 +73,7 @@ def add_differences(
     time = exact.results["time"]
     resolved = time <= end * (1 + 1e-12)
     for difference in differences:
-        resolved &= difference.mask_equal_modes(time)
+        resolved &= difference.mask_equal_switching_states(time)
     waves = {name: values[resolved] for name, values in exact.results.data.items()}
     at = time[resolved]
     for difference in differences:
@@ -90,12 +96,12 @@ class FullModelDifference:
     apart: np.ndarray
     events: tuple[float, ...]
 
-    def mask_equal_modes(self, time: np.ndarray) -> np.ndarray:
-        """Return a mask of times at which the devices in both solutions have equal modes.
+    def mask_equal_switching_states(self, time: np.ndarray) -> np.ndarray:
+        """Return a mask of the times at which both solutions have equal switching states.
 
         The mask has one entry for each ``time``. The mask is false within the step that contains an
-        event. The mask is also false next to a step at whose end only one model has changed its
-        mode.
+        event. The mask is also false within one step of each time at which a device has different
+        modes in the two solutions.
         """
         grid, result = self.time, np.ones(time.size, dtype=bool)
         last = grid.size - 1
@@ -111,17 +117,17 @@ class FullModelDifference:
 
 
 def list_port_bodies(network: Network) -> list[PortBody]:
-    """Return the bodies of a network that have equations only at their ports."""
+    """Return the bodies of a network that are modelled by relations at their ports."""
     return [law for law in network.laws if isinstance(law, PortBody)]
 
 
 def solve_full_differences(
     network: Network, build: BuiltScene, exact: LawSolution, clock: StageTimer, thorough: bool
 ) -> tuple[FullModelDifference, FullModelDifference, str]:
-    """Return the full-model differences for two step sizes, and a text on the steps.
+    """Compute differences between full and reduced models, with step sizes h and 2 h.
 
-    Returns the difference of the models with steps ``h``, the difference with steps ``2 h``, and a
-    text that describes the steps.
+    The first two results are the differences between the solutions of full and reduced models, with
+    the step sizes h and 2 h. The third result is a text that describes the steps.
     """
     bodies = list_port_bodies(network)
     parts = build.scene.parts
@@ -183,18 +189,17 @@ def find_last_rest(
     """Return the last time [s] at rest, and a function that computes the rest state.
 
     The returned time precedes the first change of a load. Until the returned time, the full and the
-    reduced models agree. The time is 0 and the function None if a load changes at once, or if no
-    load changes. If possible, the time is so late that a load reaches half of its range within
-    ``span`` [s].
+    reduced models agree. If no load changes, or if a load changes in the first time step, the
+    result is the time 0 and None. If possible, a load reaches half of its range at most ``span``
+    [s] after the returned time.
     """
     waves, time = run.waves, run.time
     names = list(chain.from_iterable(map(_list_port_wave_names, bodies)))
 
     def find_first_load_change(share: float) -> int:
-        """Return the first time index at which a load has changed by a share of its range.
+        """Return the first index at which a load reaches ``share`` of its largest change.
 
-        The share is relative to the range of the load. The index is the number of times if no load
-        changes.
+        If no load changes, the index is the number of time points.
         """
         first = time.size
         for name in names:
@@ -213,21 +218,21 @@ def find_last_rest(
     at = first - 1
 
     def reconstruct_state(system: System, z: np.ndarray) -> np.ndarray:
-        """Return the unknowns of a system at the last time of rest."""
+        """Return a system's unknowns at the last time before the loads change."""
         return _reconstruct_state(system, z, float(time[at]), lambda name: float(waves[name][at]))
 
     return float(time[at]), reconstruct_state
 
 
 def _list_port_wave_names(body: PortBody) -> list[str]:
-    """Return the names of the waves at the ports of a body."""
+    """Return the names of the waveforms at the ports of a body."""
     return [f"{body.name}.{port.name}" for port in body.ports]
 
 
 def _reconstruct_state(
     system: System, z: np.ndarray, t: float, wave: Callable[[str], float]
 ) -> np.ndarray:
-    """Return the unknowns of a system that reproduce the waves at the time ``t``.
+    """Return the unknowns of a system that reproduce the waveforms at the time ``t``.
 
     Unknowns that the waves do not determine are as near as possible to ``z``.
     """

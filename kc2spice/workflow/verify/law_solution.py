@@ -11,17 +11,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from kc2spice.core.laws import evaluate_combinations, scale_wave
+from kc2spice.core.constitutive_laws import evaluate_combinations, scale_wave
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.equations.networks import Network, get_law_name
-from kc2spice.equations.replay import select_networks_to_solve
+from kc2spice.equations.recorded_sources import select_networks_to_solve
 from kc2spice.equations.scene_laws import get_scene_laws
 from kc2spice.reference import equilibrium
 from kc2spice.reference.radau_integrator import Trajectory, solve_transient
 from kc2spice.reference.small_signal_analysis import solve_ac, solve_noise
 from kc2spice.reference.system import assemble_system
-from kc2spice.scene.model import BuiltScene
 from kc2spice.scene.results import NOISE_WAVE
+from kc2spice.scene.scene_classes import BuiltScene
 
 # Relative tolerance of the integrator.
 # At a tolerance of 1e-8, a sphere that rings at megahertz loses 5e-7 of its energy.
@@ -30,7 +30,7 @@ INTEGRATOR_RTOL = 1.5e-9
 
 @dataclass(frozen=True)
 class LawSolution:
-    """Solution of the equations of a scene with reduced models.
+    """Reference solution of a scene: waveforms from its parts' laws, without ngspice.
 
     ``results`` are the waves that both ngspice and the equations determine. ``imbalance`` is the
     error of the energy balance of a transient, relative to the exchanged energy; None for other
@@ -48,10 +48,11 @@ def solve_laws(
     replayed: Mapping[str, str] | None = None,
     progress: Callable[[float], None] = lambda share: None,
 ) -> LawSolution:
-    """Solve the equations (laws) of a scene at the points of ``waves``.
+    """Solve the equations (laws) of a scene at the times or sweep points of ``waves``.
 
     ``waves`` are the results of ngspice. On the nets ``replayed``
-    (:func:`kc2spice.equations.replay.find_replayed_nets`), sources prescribe the values of ngspice.
+    (:func:`kc2spice.equations.recorded_sources.find_replayed_nets`), sources prescribe the values
+    of ngspice.
 
     Raises
     ------
@@ -83,7 +84,7 @@ def solve_without_transient(
 ) -> Waveforms:
     """Solve networks for all analyses except transients.
 
-    The solutions have the points of ``waves``.
+    The solutions are computed at the frequencies or swept values of ``waves``.
     """
     scale, points = next(iter(waves.data.items()))
     points = points.real
@@ -113,7 +114,7 @@ def _solve_noise(network: Network, build: BuiltScene, points: np.ndarray) -> dic
 def _solve_steady_waves(
     network: Network, build: BuiltScene, points: np.ndarray
 ) -> Mapping[str, np.ndarray]:
-    """Return the waves of a network in an ac, dc or operating point analysis."""
+    """Return the waveforms of a network in an ac, dc or operating point analysis."""
     system, kind = assemble_system(network.laws, network.joins), build.scene.analysis.type
     if kind == "ac":
         return solve_ac(system, points)

@@ -23,19 +23,23 @@ from kc2spice.core.files import stage_directory
 from kc2spice.core.memory import find_available_bytes
 from kc2spice.core.progress import Progress, StageTimer, ignore_progress
 from kc2spice.core.waveforms import Waveforms, write_record
-from kc2spice.equations.replay import find_replayed_nets, list_recorded_vectors
+from kc2spice.equations.recorded_sources import find_replayed_nets, list_recorded_vectors
 from kc2spice.equations.scene_laws import get_scene_laws
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.include_scan import FlatCircuit, read_checked_circuit
-from kc2spice.netlist.library import Subcircuit, parse_subcircuits
+from kc2spice.netlist.subcircuit_library import Subcircuit, parse_subcircuits
 from kc2spice.report.verify_page import VerificationResult, plot_comparison, write_verify
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.scene.checks import SOLUTION_PAIRS, Check, Gate, Verdict
-from kc2spice.scene.model import BuiltScene, Scene
-from kc2spice.scene.resolve import resolve
+from kc2spice.scene.part_method_calls import resolve
+from kc2spice.scene.scene_classes import BuiltScene, Scene
 from kc2spice.sim.ngspice import find_ngspice
 from kc2spice.workflow.decks import prepare_deck
-from kc2spice.workflow.refine import MAX_MESH_UNKNOWNS, MEMORY_SHARE, estimate_factor_bytes
+from kc2spice.workflow.settings_refinement import (
+    MAX_MESH_UNKNOWNS,
+    MEMORY_SHARE,
+    estimate_factor_bytes,
+)
 from kc2spice.workflow.simulation import run_simulation
 from kc2spice.workflow.verdict import form_verdict
 from kc2spice.workflow.verify.body_verification import verify_body
@@ -66,14 +70,15 @@ SOLUTION_NAMES = {"ngspice": "netlist, ngspice", "rom": "laws", "fom": "full mod
 # default error limits of a transient, as multiples of solver.reltol
 METRIC_LIMIT_FACTOR = 10.0
 WAVE_LIMIT_FACTOR = 200.0
-MAX_WAVE_ERROR = 0.05  # largest permitted error for any reltol, relative to a wave's rms value
+# largest permitted error of a waveform for any value of reltol, relative to its rms value
+MAX_WAVE_ERROR = 0.05
 # default error limits of analyses without time steps
 STEADY_METRIC_LIMIT = 5e-9
 STEADY_WAVE_LIMIT = 3e-8
 # default error limit of noise, because Boltzmann's constant has seven digits in ngspice
 NOISE_LIMIT = 1e-6
-# A source that repeats recorded samples of ngspice has a derivative with an error of about 1e-3.
-# The current of a source with recorded samples into a capacitance has the same error.
+# If a source repeats recorded samples of ngspice, its derivative has an error of about 1e-3.
+# If a source of recorded samples drives a capacitance, its current has an error of about 1e-3.
 # At the edges of a half-bridge, the error of a capacitive current is up to 2.5e-3.
 # The work of a source that repeats recorded samples has an error of 5e-6.
 REPLAY_LIMIT_FACTOR = 5.0
@@ -97,8 +102,8 @@ def verify_scenes(
     deck : an exported deck of the single scene, which is verified instead of a new deck.
     trust : permit the deck and included netlists to run programs and to open files.
 
-    Returns a mapping: ``passed``, and ``scenes`` with the record of each scene by name. A missed
-    gate is reported in the record of the scene, and raises no exception.
+    Returns a mapping: ``passed``, and ``scenes`` with the record of each scene by name. If an error
+    exceeds its limit, the record of the scene reports the violation, and no exception is raised.
 
     Raises
     ------
@@ -151,9 +156,10 @@ def _list_included_subcircuits(flat: FlatCircuit) -> tuple[Subcircuit, ...]:
 
 
 def _with_exported_ports(scene: Scene, libraries: Sequence[Subcircuit]) -> Scene:
-    """Return the scene with all declared ports if the exported libraries have them.
+    """Return the scene, in which bodies have the same ports as in exported libraries.
 
-    The library of an export has all declared ports of a body, including unconnected ports.
+    The library of an export has all declared ports of a body, including unconnected ports. If one
+    of the ``libraries`` comes from an export, the result has all declared ports of all bodies.
     """
     exported = resolve(replace(scene, ports="declared"))
     known = set(map(_list_pin_names, map(attrgetter("pins"), libraries)))
@@ -240,7 +246,7 @@ class _Verification:
         return f"{name} ({reason})" if reason else name
 
     def _simulate(self, deck: Deck) -> Waveforms:
-        """Simulate a deck and return its waves."""
+        """Simulate a deck and return its waveforms or frequency responses."""
         with self.clock.time_stage("simulate", f"ngspice, {self.build.scene.name}") as share:
             waves = run_simulation(self.build, deck, self.work / "scene", share)
         self.verdict = form_verdict(waves, self.build)
@@ -265,7 +271,7 @@ class _Verification:
         result.metrics |= solutions["ngspice"].metrics
         result.units |= solutions["ngspice"].units
         result.answers |= {key: item.metrics for key, item in solutions.items()}
-        outputs = self._compare_pairs("scene", solutions)
+        outputs = self._compare_with_most_accurate_solution("scene", solutions)
         result.checks += self._list_general_checks(solutions, outputs)
         result.notes += self._note_uncompared_probes(solutions)
         if self.has_transient:
@@ -288,7 +294,7 @@ class _Verification:
         }
         exact = complete_solution(followed.waves, build)
         result.answers["fom"] = exact.metrics
-        self._compare_pairs("full", early | {"fom": exact})
+        self._compare_with_most_accurate_solution("full", early | {"fom": exact})
         result.notes += followed.notes
         if followed.coarse is not None:
             self._check_time_steps(followed.waves, followed.coarse)
@@ -328,17 +334,18 @@ class _Verification:
             )
             return
         self.finer = set(parts)
-        # Two solutions of laws are compared here.
-        # Solutions of ngspice and of the laws are instead compared by the rms of each wave.
-        # A voltage of ngspice may jump one time step earlier or later than a voltage of the laws.
-        # The time difference of a jump would dominate the largest difference.
+        # Both solutions that are compared here are computed from the equations of the parts.
+        # A solution of ngspice is instead compared by the rms difference of each waveform.
+        # A voltage may jump one time step earlier or later in ngspice than in another solution.
+        # If one solution jumps one time step later, the largest voltage difference is the jump
+        # height.
         finer_gates = [item for item in gates if item[0] in self.finer]
         self.outcome.checks += list_gate_checks(finer_gates, "rom_vs_fom", solutions["rom"], exact)[
             0
         ]
 
     def _list_model_gates(self) -> list[tuple[str, Gate]]:
-        """Return the error limits for comparisons of ngspice, equations and full models.
+        """List the gates: limits of errors between ngspice, equations and full models.
 
         In a transient, error limits of discretisations are left out, because they apply only to the
         comparison with a finer discretisation.
@@ -346,10 +353,13 @@ class _Verification:
         gates = self.verdict.gates
         return [item for item in gates if not (self.has_transient and item[1].discretisation)]
 
-    def _compare_pairs(self, name: str, solutions: Mapping[str, Solution]) -> list[OutputDeviation]:
-        """Compare each solution with the last one, and return the errors of all waves.
+    def _compare_with_most_accurate_solution(
+        self, name: str, solutions: Mapping[str, Solution]
+    ) -> list[OutputDeviation]:
+        """Compare solutions with the most accurate one; return the waveforms' errors.
 
-        The checks of gates, the errors and the figures are added to the findings.
+        The last of ``solutions`` is the most accurate. The checks of error limits, the errors and
+        the figures are added to the findings.
         """
         last = list(solutions)[-1]
         outputs: list[OutputDeviation] = []
@@ -369,7 +379,7 @@ class _Verification:
         return outputs
 
     def _get_general_error_limits(self) -> tuple[float, float]:
-        """Return the largest accepted relative errors of ngspice's metrics and waves."""
+        """Return the largest accepted relative errors of ngspice's metrics and waveforms."""
         gates, reltol = self.build.scene.gates, self.build.scene.solver.reltol
         if self.has_transient:
             metric, wave = (
@@ -386,7 +396,7 @@ class _Verification:
     def _list_general_checks(
         self, solutions: Mapping[str, Solution], outputs: Sequence[OutputDeviation]
     ) -> Iterator[Check]:
-        """Yield checks of the metric and of the wave that have ngspice's largest errors."""
+        """Yield checks of ngspice's largest metric error and largest waveform error."""
         metric, wave = self._get_general_error_limits()
         known: dict[str, float] = {}
         missed: list[str] = []
@@ -406,7 +416,7 @@ class _Verification:
             yield Check(f"every wave (rms), worst {last.output}, ngspice to laws", last.rms, wave)
 
     def _may_ring_at_large_steps(self, output: OutputDeviation) -> bool:
-        """Return whether large time steps may distort a wave after a launch.
+        """Return whether an output belongs to a body that may ring at large time steps.
 
         ``solver.ringing = "coarse"`` permits distorted waves of a body and of its drive.
         """
@@ -429,9 +439,10 @@ class _Verification:
     def _add_run_checks(self) -> None:
         """Add checks of the ngspice run to the findings.
 
-        Checks that can fail a run, and checks of jumps, are added. The error of a discretisation in
-        a transient is normally checked with a finer solution of the equations. If this solution was
-        not computed, the check of the ngspice run is added instead.
+        The function adds all checks of the ngspice run that can fail the run, and all checks for
+        jumps. The error of a discretisation in a transient is normally checked with a finer
+        solution of the equations. If no solution with a finer discretisation was computed, the
+        discretisation check of the ngspice run is added to the findings instead.
         """
         unsolved = []
         for check in self.verdict.checks:
@@ -449,7 +460,11 @@ class _Verification:
             )
 
     def _check_time_steps(self, waves: Waveforms, coarse: Waveforms) -> None:
-        """Check that doubled time steps change the results by less than each gate permits."""
+        """Check that time steps twice as long change no result by more than its limit.
+
+        The limit of a result is its gate: the largest accepted difference between the solutions
+        with reduced and with full models.
+        """
         ours, exact = complete_solution(coarse, self.build), complete_solution(waves, self.build)
         for limit in list_gate_checks(self._list_model_gates(), "rom_vs_fom", ours, exact)[0]:
             words = limit.name.replace("ROM to full model", "full model, steps halved")
@@ -463,7 +478,7 @@ class _Verification:
             )
 
     def _summarise_errors(self) -> None:
-        """Record the reduction error and, for a single body, its sizes as metrics."""
+        """Record metrics: the reduction error and, for a single body, its model sizes."""
         result, bodies = self.outcome, self.build.scene.bodies
         if "rom_vs_fom" in result.errors:
             result.metrics["rom_error"] = result.errors["rom_vs_fom"]
@@ -477,7 +492,8 @@ class _Verification:
 def _compute_max_mesh_unknowns() -> float:
     """Return the largest permitted number of unknowns of a three-dimensional mesh.
 
-    Free memory and :data:`kc2spice.workflow.refine.MAX_MESH_UNKNOWNS` limit the number.
+    Free memory and :data:`kc2spice.workflow.settings_refinement.MAX_MESH_UNKNOWNS` limit the
+    number.
     """
     share = MEMORY_SHARE * find_available_bytes() / estimate_factor_bytes(1.0, 3)
     # memory is proportional to (number of unknowns)^(4/3)
@@ -513,7 +529,7 @@ def _limit_time(progress: Callable[[float], None], seconds: float) -> Callable[[
 
 
 def _truncate_waves(waves: Waveforms, end: float | None) -> Waveforms:
-    """Return the waves up to an end time [s]; all waves if the end time is None."""
+    """Return the waveforms up to an end time [s]; all points if the end time is None."""
     if end is None:
         return waves
     early = waves["time"] <= end * (1 + 1e-12)

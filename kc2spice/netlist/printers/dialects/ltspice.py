@@ -6,11 +6,11 @@ from collections.abc import Iterable, Mapping
 
 from kc2spice.netlist.circuit import Element
 from kc2spice.netlist.expression import Trace
-from kc2spice.netlist.library import Subcircuit
+from kc2spice.netlist.number_and_name_spelling import format_number
 from kc2spice.netlist.printers.dialect import Dialect
 from kc2spice.netlist.printers.dialect_registry import register_dialect
 from kc2spice.netlist.printers.symbol_layout import arrange_pins
-from kc2spice.netlist.spelling import format_number
+from kc2spice.netlist.subcircuit_library import Subcircuit
 
 GRID = 32  # LTspice units per grid unit; pin positions must be multiples of 16
 _SIDE_NAMES = {"left": "LEFT", "right": "RIGHT", "bottom": "BOTTOM", "top": "TOP"}
@@ -43,7 +43,7 @@ class LTspice(Dialect):
         return word if plain else f"({{{word}}})"
 
     def format_law(self, part: Element) -> str:
-        """Return the expression of a behavioural source."""
+        """Format the law of a behavioural source as an expression."""
         self.omits_braces = part.kind != "b"
         text = self.write_tree(part.law)
         quantity, self.omits_braces = part.quantity, True
@@ -70,11 +70,11 @@ class LTspice(Dialect):
         return f"mag({vector})"
 
     def format_real_part(self, vector: str) -> str:
-        """Return the real part of a complex vector."""
+        """Return the text for the real part of a complex vector."""
         return f"re({vector})"
 
     def format_node(self, path: list[str]) -> str:
-        """Return the name of a node; the names of instances have no letter X."""
+        """Return a node name whose instance names are written without the prefix X."""
         return ":".join([*_strip_instance_letters(path[:-1]), path[-1]])
 
     def format_device(self, trace: Trace) -> str:
@@ -95,7 +95,7 @@ def _strip_instance_letters(path: Iterable[str]) -> list[str]:
 
 
 def _draw_symbol(part: Subcircuit, library: str) -> str:
-    """Draw the symbol of a part; a schematic with the symbol includes the library."""
+    """Draw the symbol of a part; its attribute ``ModelFile`` names the part's library."""
     box = arrange_pins(part)
     x, y = GRID * box.width, GRID * box.height
     lines = [

@@ -10,14 +10,15 @@ from itertools import filterfalse
 from kc2spice.netlist.circuit import Directive, Element
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.expression import Number, Tree, parse_literal
+from kc2spice.netlist.name_scopes import GROUND_NAMES
+from kc2spice.netlist.number_and_name_spelling import format_number, format_rounded
 from kc2spice.netlist.printers.dialect import COMMON, Dialect
 from kc2spice.netlist.printers.dialect_registry import register_dialect
-from kc2spice.netlist.scope import GROUND_NAMES
-from kc2spice.netlist.spelling import format_number, format_rounded
 
 LOOP_TIME_STEP = 1e-6  # largest time step [s] if a controller may close a feedback loop
-# Largest ``reltol`` for Xyce. Xyce needs a tenth of the ``reltol`` of ngspice, and at most this
-# value, for relative errors of contacts below 1e-5.
+# Largest ``reltol`` for Xyce.
+# Xyce needs at most MAX_RELTOL, and at most a tenth of the ``reltol`` of ngspice.
+# With a larger ``reltol``, Xyce computes contacts with relative errors above 1e-5.
 MAX_RELTOL = 1e-5
 # Half the width [V] of a switch's transition around its threshold. In Xyce, a switch needs a
 # transition.
@@ -67,9 +68,9 @@ class Xyce(Dialect):
     def directive(self, card: Directive) -> str:
         """Return a dot card with which Xyce has the same results as ngspice.
 
-        A logarithmic frequency range ends at the first frequency point at or above its end, because
-        Xyce would stop one point earlier. If a controller may close a loop, the card limits the
-        time steps; without this limit, the error of a launch velocity is 5e-4.
+        The card extends a logarithmic frequency range to the first frequency point at or above the
+        stated end, because Xyce would otherwise omit this point. If a controller may close a loop,
+        the card limits the time steps; without this limit, the error of a launch velocity is 5e-4.
         """
         if card.keyword == ".tran":
             nodes = (
@@ -96,7 +97,7 @@ class Xyce(Dialect):
         return super().format_options([*map(_tighten_reltol, words)] if timed else words)
 
     def _limit_steps(self, card: Directive) -> str:
-        """Return a transient card with a step limit if a controller may close a loop."""
+        """Limit the time step of a transient card if the circuit may have a feedback loop."""
         if self.deck and not self.deck.may_have_loop:
             return card.text
         words = [w for w in card.words if w.lower() == "uic"]
@@ -111,7 +112,7 @@ class Xyce(Dialect):
         return " ".join([card.keyword, step, stop, start, ceiling, *words])
 
     def format_law(self, part: Element) -> str:
-        """Return the expression of a behavioural source in braces."""
+        """Format the law of a behavioural source as an expression in braces."""
         quantity = part.quantity if part.kind == "b" else "value"
         return f"{quantity}={{{self.write_tree(part.law)}}}"
 
@@ -124,11 +125,11 @@ class Xyce(Dialect):
         return f"VM{vector.removeprefix('V')}"
 
     def format_real_part(self, vector: str) -> str:
-        """Return the real part of a complex vector."""
+        """Return the text for the real part of a complex vector."""
         return f"{vector[0]}R{vector[1:]}"
 
     def locate_extreme(self, extreme: str, vector: str, kind: str) -> tuple[str, ...]:
-        """Return the words that measure the position of an extremum.
+        """Return the words of a measurement card that locate an extremum.
 
         For a dc sweep, the result is empty, because Xyce would print a scaled position.
         """
@@ -143,7 +144,7 @@ class Xyce(Dialect):
         return "\n+ ".join([f".print {kind} format=raw", *vectors])
 
     def switch(self, name: str, values: Mapping[str, str]) -> str:
-        """Return the card of a switch model; Xyce requires different ``VON`` and ``VOFF``.
+        """Return the card of a switch model; in Xyce, ``VON`` must differ from ``VOFF``.
 
         Xyce has no hysteresis.
         """
@@ -169,7 +170,7 @@ def _starts_from_initial_states(card: Directive) -> bool:
 
 
 def _list_nodes_with_initial_state(deck: Deck) -> Iterator[str]:
-    """Yield the nodes of elements with an initial state inside an instance."""
+    """Yield the instance nodes to which an element with an initial state is connected."""
     for instance in deck.scope.select_elements("x").values():
         called = deck.scope.find_subcircuit(instance.model)
         if called is None:

@@ -1,0 +1,220 @@
+"""Values and results with a probable mistake: a run accepts them, and prints a warning."""
+
+import math
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import kc2spice as kc
+
+WOOFER = {"part": "loudspeaker", "fs": "37 Hz", "re": "6 Ohm", "qms": 5.6, "mms": "109.5 g",
+          "bl": "25.6 N/A", "pins": {"plus": "amp.out"}}  # fmt: skip
+SPEAKER = {
+    "amp": {"part": "source", "ac": "2 V"},
+    "woofer": WOOFER,
+    "analysis": {"type": "ac", "start": "10 Hz", "stop": "1 kHz"},
+}
+OSCILLATOR = {
+    "spring": {"part": "spring", "stiffness": "1 kN/m", "pins": {"a": "mass.a"}},
+    "mass": {"part": "mass", "mass": "25 mg"},
+    "push": {
+        "part": "source",
+        "kind": "force",
+        "pulse": {"high": "10 mN", "width": "1 ms", "edge": "10 us", "start": "1 us"},
+        "pins": {"out": "mass.a"},
+    },
+    "analysis": {"type": "transient", "stop": "3 ms"},
+}
+HEATER = {
+    "die": {
+        "part": "heat_body",
+        "layers": [{"material": "silicon", "thickness": "0.3 mm", "area": "25 mm2"}],
+        "sources": {"top": "top"},
+        "films": [{"group": "bottom", "coefficient": "1 kW/(m2 K)"}],
+        "pins": {"top": "load.out"},
+    },
+    "load": {"part": "source", "kind": "heat_flow", "dc": "20 W"},
+    "analysis": {"type": "op"},
+}
+BUZZER = {
+    "disc": {
+        "part": "disc",
+        "layers": [
+            {"material": "brass", "diameter": "20 mm", "thickness": "0.2 mm"},
+            {"material": "PZT-5A", "diameter": "14 mm", "thickness": "0.22 mm"},
+        ],
+        "support": "free",
+        "damping": {"quality": 50},
+    },
+    "analysis": {"type": "ac", "start": "1 kHz", "stop": "14 kHz", "points": 300},
+}
+
+
+def list_warnings(call, *arguments, **options):
+    """The texts of the warnings of a call, and its result."""
+    with warnings.catch_warnings(record=True) as records:
+        warnings.simplefilter("always")
+        result = call(*arguments, **options)
+    return [str(record.message) for record in records], result
+
+
+def load(tables, **overrides):
+    """The warnings of a scene whose keys are overridden."""
+    changed = {key.replace("__", "."): value for key, value in overrides.items()}
+    return list_warnings(kc.load_scene, tables, changed)[0]
+
+
+@pytest.mark.parametrize(
+    ("tables", "key", "value", "meant"),
+    [
+        (SPEAKER, "woofer.mms", 109.5, "109.5 g"),
+        (SPEAKER, "woofer.sd", 530, "530 cm2"),
+        (SPEAKER, "woofer.xmax", 8, "8 mm"),
+        (SPEAKER, "woofer.le", 700, "700 mH"),
+        (OSCILLATOR, "mass.mass", 25, "25 g"),
+    ],
+)
+def test_a_number_without_its_unit(tables, key, value, meant):
+    found = [text for text in load(tables, **{key: value}) if text.startswith(key)]
+    assert len(found) == 1
+    assert f'did you mean "{meant}"?' in found[0]
+    assert not [text for text in load(tables, **{key: meant}) if text.startswith(key)]
+
+
+@pytest.mark.parametrize(
+    ("part", "key", "value", "meant"),
+    [
+        ("capacitor", "capacitance", 10, "10 nF"),
+        ("capacitor", "capacitance", 1, "1 nF"),
+        ("inductor", "inductance", 220, "220 mH"),
+    ],
+)
+def test_an_element_without_its_unit(part, key, value, meant):
+    tables = {
+        "battery": {"part": "source", "dc": "1 V"},
+        "load": {"part": part, key: value, "pins": {"a": "battery.out"}},
+        "analysis": {"type": "transient", "stop": "1 ms"},
+    }
+    (found,) = load(tables)
+    assert f'did you mean "{meant}"?' in found
+    assert not load(tables, **{f"load.{key}": meant})
+    assert not load(tables, checks__plausible="off")
+
+
+def test_a_large_stiffness():
+    assert "spring.stiffness: 1e+12 N/m" in load(OSCILLATOR, spring__stiffness=1e12)[0]
+    assert not load(OSCILLATOR, spring__stiffness="1 GN/m")
+
+
+def test_an_unusual_total_quality():
+    """qts = qms qes / (qms + qes) with qes = 2 pi fs mms re / bl^2, computed by hand."""
+    qes = 2 * math.pi * 37 * 109.5 * 6 / 25.6**2
+    (found,) = (text for text in load(SPEAKER, woofer__mms=109.5) if "woofer.qts" in text)
+    assert f"{5.6 * qes / (5.6 + qes):.4g} is larger than usual" in found
+    assert not load(SPEAKER)
+
+
+def test_a_temperature_at_which_everything_melts():
+    """20 kW through 0.3 mm of silicon and a film of 1 kW/(m2 K) on 25 mm2: above 800 kK."""
+    film = 20e3 / (1e3 * 25e-6)
+    found, result = list_warnings(kc.run, HEATER, overrides={"load.dc": "20 kW"})
+    (check,) = (check for check in result.checks if "usual range of" in check.name)
+    assert film < check.value < 1.01 * film
+    assert check.action == "warn"
+    assert any("solids melt" in text for text in found)
+    assert not any("usual" in text for text in list_warnings(kc.run, HEATER)[0])
+
+
+def test_a_mass_that_moves_faster_than_sound():
+    """A step F on a mass without damping: x = 2 F / k and v = F / sqrt(k m)."""
+    found, result = list_warnings(kc.run, OSCILLATOR, overrides={"push.pulse.high": "10 kN"})
+    sizes = {check.unit: check.value for check in result.checks if "usual" in check.name}
+    assert sizes["m"] == pytest.approx(2 * 1e4 / 1e3, rel=0.02)
+    assert sizes["m/s"] == pytest.approx(1e4 / math.sqrt(1e3 * 25e-6), rel=0.02)
+    assert sum("usual range" in text for text in found) == 2
+    assert not list_warnings(kc.run, OSCILLATOR)[0]
+    off = {"push.pulse.high": "10 kN", "checks.plausible": "off"}
+    assert not list_warnings(kc.run, OSCILLATOR, overrides=off)[0]
+
+
+def test_amplitudes_of_an_ac_analysis_are_not_checked():
+    tables = {name: table for name, table in OSCILLATOR.items() if name != "analysis"}
+    tables["push"] = {"part": "source", "kind": "force", "ac": "1 MN", "pins": {"out": "mass.a"}}
+    tables["analysis"] = {"type": "ac", "start": "1 Hz", "stop": "10 Hz"}
+    found, result = list_warnings(kc.run, tables)
+    assert np.abs(result.waves["mass.x"]).max() > 100
+    assert not found
+
+
+def test_gravity_that_acts_on_no_part():
+    (found,) = load(OSCILLATOR, gravity=9.81)
+    assert "`gravity` has no effect" in found
+    assert found.endswith("write  weight = true  in [mass]")
+    assert not load(OSCILLATOR, gravity=9.81, mass__weight=True)
+    assert not load(OSCILLATOR, gravity=0)
+    assert not load("impact", gravity=9.81)  # gravity acts on its sphere
+    (found,) = load(SPEAKER, gravity=9.81)
+    assert found.endswith("delete the key")
+
+
+def test_gravity_in_another_unit():
+    (found,) = load(OSCILLATOR, gravity=9810, mass__weight=True)
+    assert 'did you mean "9810 mm/s2"?' in found
+    assert not load(OSCILLATOR, gravity="9810 mm/s2", mass__weight=True)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("push.pulse.start", "1 s"), ("push.pulse.start", "3 ms"), ("analysis.stop", "0.5 us")],
+)
+def test_a_pulse_after_the_end_of_the_run(key, value):
+    (found,) = load(OSCILLATOR, **{key: value})
+    assert found.startswith("push: the waveform begins at")
+    assert "this source stays constant" in found
+
+
+@pytest.mark.parametrize(
+    ("wave", "count"),
+    [
+        ({"sine": {"frequency": "1 kHz", "start": "4 ms"}}, 1),
+        ({"sine": {"frequency": "1 kHz", "start": "2 ms"}}, 0),
+        ({"pwl": [[0, 1], ["5 ms", 1], ["6 ms", 0]]}, 1),
+        ({"pwl": [[0, 1], ["2 ms", 1], ["6 ms", 0]]}, 0),
+        ({"dc": "1 N"}, 0),
+        ({"pulse": {"high": 0, "width": "1 ms", "start": "1 s"}}, 0),
+    ],
+)
+def test_waveforms_and_the_end_of_the_run(wave, count):
+    push = {"part": "source", "kind": "force", "pins": {"out": "mass.a"}, **wave}
+    assert len(load(OSCILLATOR | {"push": push})) == count
+
+
+def test_a_logarithmic_range_from_zero_is_an_error():
+    with pytest.raises(kc.errors.UsageError) as caught:
+        kc.load_scene(BUZZER, {"analysis.start": 0})
+    assert caught.value.message == "a logarithmic range cannot begin at zero"
+    assert 'scale = "linear"' in caught.value.hint
+    kc.load_scene(BUZZER, {"analysis.start": 0, "analysis.scale": "linear"})
+
+
+def test_a_linear_range_from_zero_has_the_resonances():
+    """The resonances do not depend on the first frequency of the range."""
+    usual = kc.run(BUZZER).metrics
+    linear = {"analysis.start": 0, "analysis.scale": "linear"}
+    found = kc.run(BUZZER, overrides=linear).metrics
+    for name in ("resonance_hz", "antiresonance_hz", "coupling"):
+        assert found[name] == pytest.approx(usual[name], rel=1e-4)
+
+
+def test_a_relative_tolerance_below_the_rounding_errors(cli):
+    Path("my.toml").write_text(
+        '[battery]\npart = "source"\nsine = { frequency = "1 kHz" }\n[load]\npart = "resistor"\n'
+        'resistance = "1 kOhm"\npins = { a = "battery.out" }\n[analysis]\ntype = "transient"\n'
+        'stop = "1 ms"\n'
+    )
+    found = cli("run", "my.toml", "--set", "solver.reltol=1e-20")
+    assert found.exit_code == 2
+    assert "raise solver.reltol to 1e-12" in found.stderr
+    assert cli("run", "my.toml", "--set", "solver.reltol=1e-12").exit_code == 0
