@@ -186,7 +186,8 @@ def located(law, scene, rtol=1e-9):
 
     Raises
     ------
-    SimulationError : contact chatters, the integrator gives up, the sphere leaves the force table.
+    SimulationError : contact chatters, the integrator gives up, or the sphere leaves the height
+        range of the force table.
     """
     pieces, events = _integrate(law, initial(law, scene), scene.stop_time, rtol)
     return _waveforms(law, pieces, np.union1d(_grid(law, scene), events))

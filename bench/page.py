@@ -51,8 +51,9 @@ def _machine_line(record):
         f"ngspice {m['ngspice']}, C compiler {m['compiler']}, kc2spice {m['kc2spice']}.\n\n"
         f"Each time is a CPU time: the median of {record['repeats']} runs, or of fewer runs if a "
         "run takes long. An asterisk marks a setting that is more accurate than every faster "
-        "setting in its table. Rows with `lower bound` have no asterisk, and do not count as "
-        "faster settings."
+        "setting in its table. A row `lower bound` contains the time of a compiled program that "
+        "can solve only the equations of one benchmark. Rows with `lower bound` have no asterisk, "
+        "and the settings in all other rows are not compared with the lower bound."
     )
     if took:
         line += f" The whole benchmark took {took / 60:.1f} min."

@@ -98,9 +98,9 @@ The words in italics are columns of the tables, or marks in the tables:
   assumption.
 
 The models of the discs have no supports. The discs of the data sheets are supported at a nodal
-circle, and the support changes the resonance by 0.1 %. In transient scenes, the values *full* and
-*reduced* come from independent time integrations. `python tools/published_table.py` writes this
-page from `docs/published.toml`.
+circle, and the support changes the resonance by 0.1 %. In scenes with a transient analysis,
+kc2spice computes the values *full* and *reduced* by time integration in scipy, without ngspice.
+`python tools/published_table.py` writes this page from `docs/published.toml`.
 
 {origin}
 
