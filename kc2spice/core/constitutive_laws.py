@@ -262,7 +262,7 @@ class IdealSource:
     @property
     def sets_signal(self) -> bool:
         """Whether the source sets a signal pin."""
-        return self.domain.law_pin_kind == SIGNALS.name
+        return self.domain.pin_kind == SIGNALS.name
 
     @property
     def prescribes_flow(self) -> bool:
@@ -272,7 +272,7 @@ class IdealSource:
     @property
     def pins(self) -> tuple[LawPin, ...]:
         """Pins of the source."""
-        kind = self.domain.law_pin_kind
+        kind = self.domain.pin_kind
         if self.sets_signal:
             return (LawPin("out", kind),)
         return (LawPin("out", kind), LawPin("ret", kind, grounded=True))

@@ -182,8 +182,8 @@ class Domain:
         return self.is_conservative and self.power != "velocity of the frame * through"
 
     @property
-    def law_pin_kind(self) -> str:
-        """Kind of the domain's pins in the reference solver: domain name or ``signal``."""
+    def pin_kind(self) -> str:
+        """Kind of the domain's pins in the model equations: domain name or ``signal``."""
         return "signal" if self.power == "velocity of the frame * through" else self.name
 
     @property

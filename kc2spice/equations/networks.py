@@ -23,7 +23,7 @@ from kc2spice.core.constitutive_laws import (
 from kc2spice.core.domains import TABLE
 
 # SI value of the across quantity that 1 V on a node represents, keyed by the kind of the pin.
-NODE_UNITS = {domain.law_pin_kind: domain.across.factor for domain in TABLE}
+NODE_UNITS = {domain.pin_kind: domain.across.factor for domain in TABLE}
 
 
 @dataclass(frozen=True)

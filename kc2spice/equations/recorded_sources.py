@@ -19,7 +19,7 @@ from kc2spice.equations.scene_laws import SceneLaws
 from kc2spice.scene.scene_classes import BuiltScene
 
 # Kind of the source that prescribes the value on a net, keyed by the kind of the net's pins.
-SOURCE_KINDS = {d.name: d.across.name for d in TABLE if d.law_pin_kind == d.name}
+SOURCE_KINDS = {d.name: d.across.name for d in TABLE if d.pin_kind == d.name}
 # Shortest permitted interval between samples, relative to the duration of the run.
 # In shorter intervals, the difference between two times would be mostly rounding error.
 SHORTEST_INTERVAL = 1e-6

@@ -42,7 +42,7 @@ from kc2spice.fem.mesh_cells import (
 from kc2spice.fem.mesh_formats import (
     MESHIO_READERS,
     reject_unsupported_content,
-    require_unv_elements,
+    require_unv_node_counts,
 )
 from kc2spice.fem.mesh_nodes import merge_nodes, reject_unconnected_solids
 
@@ -401,7 +401,7 @@ def _read_content(path: Path) -> bytes:
             hint="export the file again",
         )
     if path.suffix.lower() == ".unv":
-        require_unv_elements(data, str(path))
+        require_unv_node_counts(data, str(path))
     if path.suffix.lower() in MESHIO_READERS:
         reject_unsupported_content(path.suffix.lower(), data, str(path))
     if path.suffix.lower() in STEP_SUFFIXES and b"DOCUMENT_FILE" in _STEP_STRING_OR_COMMENT.sub(

@@ -244,10 +244,11 @@ def _find_meshio_name(name: str) -> str | None:
     return None
 
 
-def require_unv_elements(data: bytes, where: str) -> None:
-    """Reject a UNV file whose elements have a wrong number of nodes for their type.
+def require_unv_node_counts(data: bytes, where: str) -> None:
+    """Require that each element of a UNV file has the node count of its type.
 
-    gmsh writes such elements with 9, 18 and 27 nodes, but reads only the corners of these elements.
+    gmsh writes elements with 9, 18 and 27 nodes under types with fewer nodes. From an element with
+    9, 18 or 27 nodes, gmsh reads only the corners.
 
     Raises
     ------

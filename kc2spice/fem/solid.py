@@ -161,13 +161,17 @@ class Solid:
         """Return the scalar finite-element basis with one degree of freedom per node."""
         if "quadrature" not in options:
             options["intorder"] = order or self.quadrature_degree
-        return skfem.Basis(self.mesh, self.element, dofs=self._dofs, **options)
+        return skfem.Basis(self.mesh, self.element, dofs=self._prescribed_dofs, **options)
 
     def make_facet_basis(
         self, facets: np.ndarray, order: int, side: Literal[0, 1] = 0
     ) -> skfem.BoundaryFacetBasis:
         """Make the scalar basis on facets, evaluated in the elements on one side."""
-        options: dict[str, Any] = {"facets": facets, "intorder": order, "dofs": self._dofs}
+        options: dict[str, Any] = {
+            "facets": facets,
+            "intorder": order,
+            "dofs": self._prescribed_dofs,
+        }
         if not self.mesh.affine:
             options["mapping"] = FacetMapping(self.mesh, self.mesh.elem(), self.mesh.bndelem)
         if side:
@@ -180,10 +184,11 @@ class Solid:
         return np.asarray(self.basis(1).doflocs)
 
     @cached_property
-    def _dofs(self) -> skfem.Dofs | None:
-        """scikit-fem degrees of freedom with the numbers in :attr:`numbers`, or None.
+    def _prescribed_dofs(self) -> skfem.Dofs | None:
+        """scikit-fem degrees of freedom with prescribed node numbers, or None.
 
-        The value is None if ``numbers`` is None; scikit-fem then numbers the nodes.
+        The field :attr:`numbers` prescribes the node numbers. If ``numbers`` is None, the value is
+        None, and scikit-fem numbers the nodes.
         """
         if self.numbers is None:
             return None

@@ -68,7 +68,7 @@ def _write_coenergy(height: str) -> str:
 
 @cache
 def declare_coils(height: str = _RAISED_HEIGHT) -> Declaration:
-    """Return the declaration of both coils with resistance, inductance and back-EMF.
+    """Declare the two coils around a moving magnet, with inductance and back-EMF.
 
     The pins of the lower coil are ``lp`` and ``ln``, the pins of the upper coil ``up`` and ``un``.
     In a netlist, ``height`` must be the coordinate ``y``.
@@ -88,9 +88,10 @@ def declare_coils(height: str = _RAISED_HEIGHT) -> Declaration:
 
 @cache
 def declare_resistive_coils(height: str = _RAISED_HEIGHT) -> Declaration:
-    """Return the declaration of both coils in series, without inductance and back-EMF.
+    """Declare the two coils around a moving magnet as resistors in series.
 
-    The series connection reverses the current in the lower coil.
+    The declaration contains no inductance and no back-EMF. The series connection reverses the
+    current in the lower coil.
     """
     resistance = f"({' + '.join(_COIL_RESISTANCES)})"
     ends = voltage("v", "drive", "ret"), measured(voltage("across", "drive", "ret"))
@@ -99,7 +100,7 @@ def declare_resistive_coils(height: str = _RAISED_HEIGHT) -> Declaration:
 
 
 def add_heat_pin(declared: Declaration, coefficient: float, reference: float) -> Declaration:
-    """Return the declaration of coils with a heat pin.
+    """Add a heat pin to the declaration of the two coils around a moving magnet.
 
     The temperature of the heat pin sets the resistances of the coils. Signals of the declaration
     are coil currents: the voltage across the coils, divided by the resistance of the coils at the
@@ -117,7 +118,7 @@ def add_heat_pin(declared: Declaration, coefficient: float, reference: float) ->
 
 @cache
 def declare_prescribed_currents() -> Declaration:
-    """Return the declaration of coils with prescribed currents.
+    """Declare the two coils around a moving magnet with prescribed currents.
 
     The currents are the parameters ``lower`` and ``upper``.
     """

@@ -770,8 +770,8 @@ class Declaration:
         ratio = parse_simplified(write_resistance_ratio())
         return (multiply_trees if branch.is_flow else divide_trees)(slope, ratio)
 
-    def derive_force_without_lagged_rates(self, branch: Branch) -> Tree:
-        """Derive a branch's force without inertia and rates of lagged coordinates.
+    def derive_netlist_force(self, branch: Branch) -> Tree:
+        """Derive the force that the netlist writes for a branch, without its inertia.
 
         The netlist replaces each coordinate x in ``lags`` by ``x + lag * x_rate``, so the netlist
         already contains the effect of the rate ``x_rate``. Therefore, the returned force contains

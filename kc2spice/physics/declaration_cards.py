@@ -210,7 +210,7 @@ def _list_laws(declaration: Declaration, linkages: FluxLinkages | None) -> tuple
                 where=declaration.name,
                 got=format_tree(tree),
             )
-    forces = map(declaration.derive_force_without_lagged_rates, declaration.displacement_branches)
+    forces = map(declaration.derive_netlist_force, declaration.displacement_branches)
     return (*forces, *(linkages.motion_voltages if linkages else ()))
 
 
@@ -610,7 +610,7 @@ def _write_force(
     node, base = name_force_node(b), declaration.base or b.minus
     speeds = declaration.speeds
     high, low = speeds.get(b.plus, b.plus), speeds.get(b.minus, b.minus)
-    force = declaration.derive_force_without_lagged_rates(b)
+    force = declaration.derive_netlist_force(b)
     metered = declaration.metered or b.less
     ends = (base, node) if metered else (high, low)
     across, through = b.domain.across, b.domain.through_variable
@@ -746,7 +746,7 @@ def _write_kink_switches(declaration: Declaration, nodes: Mapping[str, Tree]) ->
     moved = {b.name: b for b in declaration.displacement_branches}
     inner = {*declaration.states, *declaration.signals}
     flows = map(declaration.derive_direct_flow, declaration.branches_without_motion)
-    forces = map(declaration.derive_force_without_lagged_rates, declaration.displacement_branches)
+    forces = map(declaration.derive_netlist_force, declaration.displacement_branches)
     laws = (*forces, *flows, *declaration.state_rates.values())
     result = []
     for argument in dict.fromkeys(chain.from_iterable(map(find_kinks, laws))):

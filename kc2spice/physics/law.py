@@ -121,7 +121,7 @@ class DeclaredLaw(Device):
         result = dict.fromkeys(d.domains, "signal")
         for b in (*d.acting_branches, *d.branches_with_rate):
             for pin in b.pins:
-                result[pin] = d.domains[pin].law_pin_kind
+                result[pin] = d.domains[pin].pin_kind
         return result | dict.fromkeys(d.outputs, "signal")
 
     def _get_minus_pin(self, b: Branch) -> str:

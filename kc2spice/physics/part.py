@@ -377,7 +377,7 @@ def make_pins(declaration: Declaration) -> tuple[Pin, ...]:
         unit, flow = d.domains[pin].units
         if speed := d.speeds.get(pin):
             result.setdefault(checked(speed), Pin(speed, VELOCITY.pin_unit, flow))
-        quiet = speed or (pin not in loaded and d.domains[pin].law_pin_kind != SIGNALS.name)
+        quiet = speed or (pin not in loaded and d.domains[pin].pin_kind != SIGNALS.name)
         result.setdefault(checked(pin), Pin(pin, unit, "-" if quiet else flow))
     for node in d.inner:
         result.pop(checked(node), None)

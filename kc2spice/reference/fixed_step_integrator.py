@@ -71,7 +71,11 @@ class _BodyIntegrator:
             self.x = make_static_solver(self.pencil)(self.pencil.B @ a)
 
     def begin_stage(self, second: bool) -> Relation:
-        """Return the linear relation of the body between inputs and outputs in a stage."""
+        """Begin a stage of a time step; return the body's input-output relation.
+
+        Within the stage, the outputs of the body are an affine function of its port inputs. A time
+        step has two stages; ``second`` is true in the second stage.
+        """
         P, s = self.pencil.coefficients, self.rate
         x, v = self.x, self.v
         if second:
@@ -84,7 +88,7 @@ class _BodyIntegrator:
         return Relation(self.H, self.pencil.C @ self._free)
 
     def finish_stage(self, e: np.ndarray, second: bool) -> None:
-        """Update the states of the body at the end of a stage.
+        """Finish a stage of a time step: update the states of the body.
 
         ``e`` contains the inputs of the body.
         """

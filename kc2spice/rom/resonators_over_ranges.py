@@ -10,7 +10,7 @@ Modes whose frequencies are close to each other anywhere in the ranges form a bl
 represented by a basis of its modes. Of all bases of the modes of a block, the module uses the basis
 that is nearest to the basis in the middle of the ranges. The basis therefore rotates smoothly with
 the parameters, and the coefficients do not jump if natural frequencies cross or repel each other.
-Modes outside of blocks are separate resonators. The stiffness of a block is ``L L'`` with a
+Modes outside of blocks are separate resonators. The stiffness of a block is ``L L^T`` with a
 Cholesky factor L. Polynomials approximate the logarithms of three quantities: the diagonal of L,
 the diagonal of the Cholesky factor of the clamped capacitances, and the damping. Stiffness, damping
 and clamped capacitances are therefore positive everywhere in the ranges, which proves that the
@@ -102,11 +102,13 @@ NOTCH_RESOLUTION = 1e-2
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ResonatorsOverRanges(ParameterPolynomials, ModelOverRanges):
-    """Resonators ``z'' + E z' + L L' z = g u``; E, L and g depend on parameters.
+    """Resonators ``z'' + E z' + K z = g u`` whose matrices depend on parameters.
 
-    The outputs are ``y = g' z + D u``. The damping matrix is ``E = alpha + beta L L'``. For given
-    values of the parameters, the vector ``T`` (terms,) contains products of polynomials of the
-    parameters. The fields contain coefficients of these products:
+    ``z'`` is the time derivative of ``z``, and ``g^T`` the transpose of ``g``. The outputs are ``y
+    = g^T z + D u``. The stiffness matrix is ``K = L L^T`` with a lower triangular matrix L. The
+    damping matrix is ``E = alpha I + beta K``. For given values of the parameters, the vector ``T``
+    (terms,) contains products of polynomials of the parameters. The fields contain coefficients of
+    these products:
 
     * The diagonal of L, of shape (q,), is ``exp(T @ diagonal)``. The product ``T @ below``, of
       shape (q, q), contains the entries of L below the diagonal, in blocks of the sizes ``blocks``.

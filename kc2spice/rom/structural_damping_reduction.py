@@ -353,7 +353,10 @@ def make_loss_viscous(model: LinearModel, beta: float) -> tuple[LinearModel, tup
                 "structural damping of several materials cannot be combined with a damping matrix",
                 where=model.name,
                 expected="either several loss factors or a damping matrix",
-                hint="replace matrix E by the key `rayleigh`, or use one loss factor",
+                hint=(
+                    "state viscous damping as `rayleigh` instead of the damping matrix E, or state "
+                    "one loss factor for all materials"
+                ),
             )
         E = beta * model.loss + alpha * model.M
         if beta_share and isinstance(model.K, SchurComplement):

@@ -52,10 +52,11 @@ class Check:
     extreme position of the motion and an end of its permitted range. ``travel`` is the range of the
     motion. ``distance`` and ``travel`` have the unit of the check.
 
-    ``found`` describes the value, and ``accepted`` describes the limit, in the quantities of the
-    scene. ``found`` and ``accepted`` are set only if a violation of the check is due to a value in
-    the scene. If a violated check has the text ``accepted``, the error message names the key to
-    change, so no files of the failed run are kept.
+    ``found`` and ``accepted`` are texts for the error message of a violated check. ``found`` states
+    the result of the run, such as ``heights from 2 mm to 9 mm``. ``accepted`` states the permitted
+    results, such as ``heights from 0 mm to 8 mm``. ``found`` and ``accepted`` are set only if a
+    violation of the check is due to a value in the scene. If a violated check has the text
+    ``accepted``, the error message names the key to change, so no files of the failed run are kept.
     """
 
     name: str

@@ -343,7 +343,7 @@ def _write_dot_product(row: str, column: str, indices: Iterable[int]) -> str:
 
 
 def _find_nonzero_entries(model: ResonatorsOverRanges) -> tuple[np.ndarray, np.ndarray]:
-    """Return masks of nonzero entries of a triangular factor L and its product L L'.
+    """Return masks of nonzero entries of a triangular factor L and of ``L L^T``.
 
     Both masks have the shape (q, q).
     """

@@ -221,9 +221,9 @@ def test_a_port_that_was_not_driven_is_refused(tmp_path):
     zero = 0 * F
     body = rows(F, S.real, S.imag, zero + 0.01, zero, zero, zero, zero, zero, separator=" ")
     path = written(tmp_path, "a.s2p", "# HZ S RI R 50\n" + body)
-    with pytest.raises(REFUSED, match="no measurement from port 2") as caught:
+    with pytest.raises(REFUSED, match="did not drive port 2") as caught:
         read_measured(path)
-    assert "save S11 of the part at port 1 as .s1p" in str(caught.value)
+    assert "export S11, the reflection at port 1, as a one-port file .s1p" in str(caught.value)
 
 
 def test_a_reflection_above_one_names_the_calibration(tmp_path):

@@ -128,9 +128,8 @@ def _parse_entries(data: bytes) -> tuple[bool, raw_matrices.Triple]:
     """Parse the entries of an Abaqus matrix file as rows, columns and values.
 
     Return whether the lines contain nodes and degrees of freedom, and return the matrix entries. If
-    the lines contain node numbers, the returned row and column numbers are keys from
-    :func:`compute_entry_keys`. In lines without node numbers, the row and column numbers are
-    indices counted from 0.
+    the lines contain node numbers, :func:`encode_entry_positions` returns the row and column
+    numbers. In lines without node numbers, the row and column numbers are indices counted from 0.
     """
     if data.startswith(b"*") or b"\n*" in data:
         data = _COMMENT_LINE.sub(b"", data)
@@ -144,7 +143,7 @@ def _parse_entries(data: bytes) -> tuple[bool, raw_matrices.Triple]:
         )
     table = values.reshape(-1, width)
     if width == 5:
-        return True, raw_matrices.compute_entry_keys(table)
+        return True, raw_matrices.encode_entry_positions(table)
     return False, (
         parse_indices(table[:, 0], raw_matrices.MAX_ROWS),
         parse_indices(table[:, 1], raw_matrices.MAX_ROWS),
@@ -467,7 +466,7 @@ def _parse_dmig(data: bytes) -> tuple[dict[str, int], dict[str, raw_matrices.Tri
     if not forms:
         raise ValueError("the file contains no DMIG card")
     return forms, {
-        name: raw_matrices.compute_entry_keys(np.array(e).reshape(-1, 5))
+        name: raw_matrices.encode_entry_positions(np.array(e).reshape(-1, 5))
         for name, e in entries.items()
     }
 

@@ -311,11 +311,11 @@ class RawMatrices:
     files: Mapping[str, Path] = field(default_factory=dict)
 
 
-def compute_entry_keys(table: np.ndarray) -> Triple:
-    """Compute integer row and column keys of matrix entries; return keys and values.
+def encode_entry_positions(table: np.ndarray) -> Triple:
+    """Encode the row and the column of each matrix entry as integers.
 
     ``table`` contains a line (node, dof, node, dof, value) for each entry. A ``dof`` is the number
-    of a degree of freedom. Return the row keys, the column keys and the values.
+    of a degree of freedom. Return the encoded rows, the encoded columns and the entry values.
     """
     place = table[:, :4].real
     row, column = Dofs(*place[:, :2].T), Dofs(*place[:, 2:].T)
@@ -327,10 +327,10 @@ def make_matrices_by_letter(
 ) -> tuple[dict[str, sparse.csc_array], Dofs]:
     """Make a sparse matrix for each letter, such as M or K, from lists of entries.
 
-    ``triples`` contains the entries of each matrix as returned by :func:`compute_entry_keys`, keyed
-    by letter. Return the matrices, keyed by letter, and the node and degree of freedom of each row.
-    The rows of all matrices are in the same order. Rows are sorted by node, then by degree of
-    freedom. Nodes and degrees of freedom without entries have no rows.
+    ``triples`` contains the entries of each matrix as returned by :func:`encode_entry_positions`,
+    keyed by letter. Return the matrices, keyed by letter, and the node and degree of freedom of
+    each row. The rows of all matrices are in the same order. Rows are sorted by node, then by
+    degree of freedom. Nodes and degrees of freedom without entries have no rows.
     """
     rows, columns, _ = zip(*triples.values(), strict=True)
     keys = np.unique(np.concatenate([*rows, *columns]))

@@ -185,13 +185,13 @@ def _reject_undriven_ports(S: np.ndarray) -> None:
     transmissions = S[:, ~np.eye(n, dtype=bool)]
     if n == 1 or not silent.size or silent.size == n or np.abs(transmissions).max() > 1:
         return
-    port = silent[0] + 1
+    port, driven = silent[0] + 1, np.flatnonzero(S.any(axis=(0, 1)))[0] + 1
     names = " and ".join(f"S{row}{port}" for row in range(1, n + 1))
     raise UsageError(
-        f"this file contains no measurement from port {port}",
+        f"the analyser did not drive port {port} in this measurement",
         got=f"{names} are zero at all frequencies",
         expected="S parameters of all ports, or of one port in a file .s1p",
-        hint="save S11 of the part at port 1 as .s1p",
+        hint=f"export S{driven}{driven}, the reflection at port {driven}, as a one-port file .s1p",
     )
 
 

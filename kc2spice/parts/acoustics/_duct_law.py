@@ -42,7 +42,7 @@ class DuctLaw(Device):
     @property
     def pins(self) -> tuple[LawPin, ...]:
         """Pins at the ends of the duct, and the pin of the ambient pressure."""
-        kind = ACOUSTIC.law_pin_kind
+        kind = ACOUSTIC.pin_kind
         ends = (LawPin(end, kind) for end in self.ends)
         return (*ends, LawPin(AMBIENT, kind, grounded=True))
 

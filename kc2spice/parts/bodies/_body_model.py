@@ -193,7 +193,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
                 f"{part.name}.damping.model",
                 "a netlist with parameters can only have viscous damping",
                 got="ieee176",
-                expected="rayleigh",
+                expected='"rayleigh", the loss model of viscous damping',
                 hint='write  model = "rayleigh"',
             )
         if self.gives_off_heat(part, scene):

@@ -303,7 +303,11 @@ def _find_impossible_pairs(part: Part[BvdKeys], start: np.ndarray) -> Iterator[U
                 "the parallel resonance is not above the series resonance",
                 got=f"fs = {fs:g} Hz and fp = {fp:g} Hz",
                 expected="fp above fs",
-                hint="exchange both values",
+                hint=(
+                    "exchange the values of `fs` and `fp`"
+                    if fs > fp
+                    else "take `fs` at the minimum and `fp` at the maximum of the impedance"
+                ),
             )
     if keys.c0 and keys.c_low and keys.c0 >= keys.c_low:
         yield part.wrong(
@@ -311,7 +315,7 @@ def _find_impossible_pairs(part: Part[BvdKeys], start: np.ndarray) -> Iterator[U
             "the low-frequency capacitance is not greater than the clamped capacitance",
             got=f"c0 = {keys.c0:g} F and c_low = {keys.c_low:g} F",
             expected="c_low above c0",
-            hint="exchange both values, or delete the key `c0`",
+            hint="exchange the values of `c0` and `c_low`, or delete the key `c0`",
         )
     if len(keys.zs) == 1:
         zs, reactance = keys.zs[0], 1 / (TWO_PI * start[1] * start[0])

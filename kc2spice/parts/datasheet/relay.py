@@ -243,10 +243,13 @@ pins = { a = "relay.com", b = "gnd" }
         if keys.contact_resistance >= keys.insulation_resistance:
             yield part.wrong(
                 "insulation_resistance",
-                "an open contact conducts better than a closed one",
+                "an open contact conducts better than a closed contact",
                 got=f"{keys.insulation_resistance:g} Ohm",
                 expected=f"above contact_resistance, {keys.contact_resistance:g} Ohm",
-                hint="exchange both values",
+                hint=(
+                    "state the resistance of the closed contact as `contact_resistance`, and the "
+                    "resistance of the open contact as `insulation_resistance`"
+                ),
             )
 
     def make_declaration(self, part: Part[RelayKeys], scene: GovernedScene) -> Declaration:

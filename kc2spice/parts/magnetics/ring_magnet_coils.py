@@ -753,7 +753,7 @@ def _format_height(height: float) -> str:
 
 
 def _advise_less_energy(scene: Scene, y: np.ndarray, table: MagnetostaticTable) -> str:
-    """Return advice to reduce the energy of a sphere that leaves the force table.
+    """Advise a lower launch energy if a sphere leaves the force table's height range.
 
     ``y`` contains the heights [m] of the sphere.
 

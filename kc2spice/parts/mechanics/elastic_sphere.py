@@ -114,8 +114,8 @@ elastic = true
                 "elastic.damping.model",
                 "an elastic sphere has viscous damping only",
                 got=part.keys.damping.model,
-                expected="rayleigh",
-                hint="delete the key `model` from damping",
+                expected='"rayleigh", the loss model of viscous damping',
+                hint='delete the key `elastic.damping.model`, whose default is "rayleigh"',
             )
 
     def contact_surface(

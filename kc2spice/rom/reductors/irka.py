@@ -74,10 +74,10 @@ class Irka(Reductor):
         )
 
     def basis(self, task: ReductionTask) -> ReducedBasis | None:
-        """Return a ``ReducedBasis`` of optimal models, or None for an unstable full model.
+        """Return locally H2-optimal reduced models, or None for an unstable full model.
 
-        The models are locally optimal, and are computed at their first use. The result is None if
-        the full model is not strictly stable.
+        ``OptimalModels`` computes the reduced model of an order when its response is first
+        requested. The result is None if the full model is not strictly stable.
         """
         start = BalancedTruncation(scaled=False).basis(task)
         if start is None:

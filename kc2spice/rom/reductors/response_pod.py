@@ -28,8 +28,8 @@ MIN_EXTRA_VECTORS = 20
 EXTRA_ERROR_SHARE = 0.5
 # An update multiplies the weight of each frequency by sqrt(error / largest error + MIN_WEIGHT).
 MIN_WEIGHT = 0.05
-# factor by which each trial reduces the weights above the band, where the certificate does not
-# apply
+# Each trial multiplies the weights of snapshots above the band by TAIL_FADING. The certificate does
+# not cover frequencies above the band.
 TAIL_FADING = 0.5
 
 

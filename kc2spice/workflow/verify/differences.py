@@ -24,7 +24,8 @@ MIN_REFERENCE_SHARE = 1e-6
 # largest motion at rest due to rounding errors, as a fraction of the body's size
 REST_MOTION = 1e-9
 ZERO_CURRENT = 1e-150  # smaller currents count as zero, because their squares underflow
-# A metric error is divided by at least this fraction of the largest wave with the same unit.
+# The error of a metric is divided by at least MIN_METRIC_SHARE times the largest waveform value in
+# the unit of the metric.
 MIN_METRIC_SHARE = 1e-3
 
 
@@ -118,7 +119,7 @@ def _compute_wave_difference(
     early = exact.scale <= gate.share * exact.scale[-1] if gate.share < 1.0 else slice(None)
     pairs = []
     for name in names:
-        _, a, b = align_wave(waves, exact, name)
+        _, a, b = sample_wave_at_common_times(waves, exact, name)
         pairs.append((a[early], b[early]))
     if gate.measure == "relative":
         return max(starmap(_find_largest_relative_change, pairs))
@@ -149,12 +150,14 @@ def _find_largest_relative_change(a: np.ndarray, b: np.ndarray) -> float:
     return float((np.abs(a - b)[loaded] / size[loaded]).max(initial=0.0))
 
 
-def align_wave(
+def sample_wave_at_common_times(
     waves: Waveforms, exact: Waveforms, name: str
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the common points of two solutions, and a waveform of each solution.
+    """Sample one waveform of two solutions at common time points.
 
-    The points are the points of the coarser solution, within the times that both solutions contain.
+    Return the time points and the samples of both solutions. The function uses the time points of
+    the coarser solution, within the time range that both solutions contain. Solutions without times
+    are not interpolated: the function then returns the indices of the points, and both waveforms.
     """
     if "time" not in waves:
         return np.arange(float(waves[name].size)), waves[name], exact[name]
@@ -191,7 +194,7 @@ def compute_output_errors(pair: str, waves: Waveforms, exact: Waveforms) -> list
     for name in exact.data:
         if name == scale or name not in waves:
             continue
-        points, a, b = align_wave(waves, exact, name)
+        points, a, b = sample_wave_at_common_times(waves, exact, name)
         size = float(np.abs(b).max(initial=0.0))
         if size <= max(_estimate_rounding_speed(name, exact), ZERO_CURRENT):
             continue
@@ -230,9 +233,9 @@ def list_metric_errors(
 ) -> Iterator[tuple[str, float | None]]:
     """Yield the relative error of each metric that both solutions contain.
 
-    The reference is the larger of two values: the magnitude of the exact metric, and
-    ``MIN_METRIC_SHARE`` times the largest wave with the same unit. If both values are zero, the
-    error is the absolute difference.
+    The error of a metric is divided by the magnitude of the exact metric, but at least by 0.1 % of
+    the largest waveform value in the unit of the metric. ``MIN_METRIC_SHARE`` contains the share
+    of 0.1 %. If the divisor is zero, the function yields the absolute difference of both metrics.
     """
     for name, b in exact.metrics.items():
         if name not in ours.metrics or isinstance(b, bool):
