@@ -108,7 +108,7 @@ def _clip_to_window(
     Raises
     ------
     UsageError : an end of ``window`` is outside the analysed range of times, frequencies or swept
-        values.
+        values, or the window has no extent.
     """
     direction = -1 if scale[0] > scale[-1] else 1
     scale, values = scale[::direction], values[::direction]
@@ -116,6 +116,14 @@ def _clip_to_window(
         if math.isfinite(end) and not _is_on_scale(scale, end):
             raise _make_outside_error(f"{where}.{key}", end, scale)
     low, high = max(window[0], scale[0]), min(window[1], scale[-1])
+    if low >= high and scale.size > 1:
+        raise UsageError(
+            "the window of this probe ends where it begins",
+            where=f"{where}.from",
+            got=f"{low:g} to {high:g}",
+            expected="an end of the window above its beginning",
+            hint=f"write for example  from = {(scale[0] + scale[-1]) / 2:g}",
+        )
     inside = (scale > low) & (scale < high)
     at = np.concatenate([[low], scale[inside], [high]])
     ends = np.interp([low, high], scale, values)
@@ -241,12 +249,13 @@ def _is_on_scale(scale: np.ndarray, place: float) -> bool:
 
 def _make_outside_error(where: str, place: float, scale: np.ndarray) -> UsageError:
     """Make the error for a position outside the analysed time, frequency or key range."""
+    key, middle = where.rpartition(".")[2], (float(scale.min()) + float(scale.max())) / 2
     return UsageError(
         "this time, frequency or swept value is outside of the range of the analysis",
         where=where,
         got=f"{place:g}",
         expected=f"{scale.min():g} … {scale.max():g}",
-        hint=f"write for example  {where.rpartition('.')[2]} = {float(scale.max()):g}",
+        hint=f"write for example  {key} = {middle if key == 'from' else float(scale.max()):g}",
     )
 
 

@@ -362,6 +362,21 @@ def _repair_assignment(lines: Sequence[str], number: int) -> Iterator[_Repair]:
         yield _Repair(problem, number, repaired, _suggest_line(repaired))
 
 
+# A colon after a key of an inline table, with the blanks around the colon.
+_COLON_OF_KEY = re.compile(r"[{,]\s*[\w.-]+(\s*:\s*)")
+
+
+def _repair_inner_colon(lines: Sequence[str], number: int) -> Iterator[_Repair]:
+    """Yield the repair of a colon between key and value inside an inline table."""
+    line = lines[number - 1]
+    repaired = line
+    for colon in reversed(list(_COLON_OF_KEY.finditer(_mask_strings(line)))):
+        repaired = f"{repaired[: colon.start(1)]} = {repaired[colon.end(1) :]}"
+    if repaired != line:
+        problem = "':' stands between key and value in place of '='"
+        yield _Repair(problem, number, repaired, _suggest_line(repaired))
+
+
 def _repair_comment(lines: Sequence[str], number: int) -> Iterator[_Repair]:
     """Yield the repair of a comment that begins with ``//``, ``;`` or ``--``."""
     line = lines[number - 1]
@@ -395,6 +410,7 @@ _REPAIR_FUNCTIONS: tuple[Callable[[Sequence[str], int], Iterator[_Repair]], ...]
     _repair_decimal_comma,
     _repair_typographic_quotes,
     _repair_assignment,
+    _repair_inner_colon,
     _repair_round_brackets,
     _repair_separator,
     _repair_comment,

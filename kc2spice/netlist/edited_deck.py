@@ -258,7 +258,11 @@ def _read_stop(original: Deck, analysis: Statement) -> float | None:
     stop = parse_literal(words[1], where=analysis.where) if len(words) > 1 else None
     if stop is None:
         raise UsageError(
-            "the end of the transient is not a number", where=analysis.where, got=" ".join(words)
+            "the second number of this card, the end of the transient, is missing or not a number",
+            where=analysis.where,
+            got=" ".join(analysis.words),
+            expected=".tran STEP STOP, with two numbers such as 1u and 2m",
+            hint=f"write for example  .tran {words[0] if words else '1u'} {original.stop:g}",
         )
     return stop
 

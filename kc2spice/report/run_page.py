@@ -114,9 +114,15 @@ def format_results(result: Mapping[str, Any]) -> list[PageSection]:
     ]
 
 
+def _format_check_value(check: Mapping[str, Any]) -> tuple[str, str]:
+    """Format the value and the limit of a check; JSON files contain null for infinity."""
+    value = math.inf if check["value"] is None else check["value"]
+    return format_value_and_limit(value, check["limit"], check["unit"])
+
+
 def _make_check_row(check: Mapping[str, Any]) -> tuple[str, ...]:
     """Return the table row of a physics check: verdict, name, value, limit and action."""
-    value, limit = format_value_and_limit(check["value"], check["limit"], check["unit"])
+    value, limit = _format_check_value(check)
     mark = "ok" if check["passed"] else "VIOLATED"
     return mark, _label_check(check), value, limit, check["action"]
 
@@ -199,7 +205,7 @@ def format_summary(result: Mapping[str, Any], most: int | None = None) -> PageSe
 
 def _make_violation_row(check: Mapping[str, Any]) -> tuple[str, str]:
     """Return the summary row of a violated check: name, value and limit."""
-    value, limit = format_value_and_limit(check["value"], check["limit"], check["unit"])
+    value, limit = _format_check_value(check)
     # A unit of several words is written after the value, and not repeated after the limit.
     if " " in check["unit"]:
         limit = limit.removesuffix(f" {check['unit']}")

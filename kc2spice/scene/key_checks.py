@@ -395,8 +395,14 @@ def _check_probe_position(where: str, place: float, scene: Scene) -> Iterator[Us
             where=where,
             got=f"{place:g}",
             expected=expected,
-            hint=f"write for example  {where.rpartition('.')[2]} = {last:g}",
+            hint=_suggest_position(where, first, last),
         )
+
+
+def _suggest_position(where: str, first: float, last: float) -> str:
+    """Suggest a position inside the range of the analysis; a window begins in its middle."""
+    key = where.rpartition(".")[2]
+    return f"write for example  {key} = {(first + last) / 2 if key == 'from' else last:g}"
 
 
 def _find_independent_variable_unit(scene: Scene) -> str | None:

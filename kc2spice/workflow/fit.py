@@ -293,8 +293,8 @@ def _make_record(
             where=body.data.where,
             got=f"an rms misfit of {rms:.2g} times |Y| after {len(ends)} fits",
             expected=f"less than {MAX_MISFIT:g}",
-            hint="check the part and the unit of the frequency, then fit only one key at a time, "
-            "such as a thickness",
+            hint="check the part, the unit of the frequency and the sign of the phase; "
+            "with several keys, fit one key first, such as a thickness",
         )
     best = min(ends, key=attrgetter("cost"))
     resonances = match_resonances(body.data, start, end.exact)

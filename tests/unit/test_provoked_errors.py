@@ -1,10 +1,11 @@
 """Mistakes on the command line, in scenes, files and Python calls, with the advice for each."""
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
-from support import Check, parse_toml, require_passed
+from support import Check, format_summary, parse_toml, require_passed
 
 import kc2spice as kc
 
@@ -654,3 +655,74 @@ def test_the_directory_of_another_sweep_is_described_without_hashes(cli):
     assert found["got"] == "results of another scene, or of other keys, values or options"
     assert found["expected"].startswith("a new directory")
     assert cli("sweep", "own.toml", "--set", f"{key}1,2", "-o", "out", "-q").exit_code == 0
+
+
+def test_a_probe_window_without_extent_is_rejected_and_the_advice_works(cli, tmp_path):
+    """A window at the end of the run has a single sample, whose peak-to-peak value would be 0."""
+    Path("rc.toml").write_text(
+        '[drive]\npart = "source"\nsine = { amplitude = "1 V", frequency = "10 kHz" }\n'
+        'pins = { out = "load.a" }\n[load]\npart = "resistor"\nresistance = "1 kOhm"\n'
+        '[probes]\nswing = { of = "load.v", take = "peak_to_peak", from = "5 ms" }\n'
+        '[analysis]\ntype = "transient"\nstop = "2 ms"\n'
+    )
+    late = cli("run", "rc.toml")
+    assert late.exit_code == 2
+    assert "next:     write for example  from = 0.001" in late.stderr
+    empty = cli("run", "rc.toml", "--set", "probes.swing.from=0.002")
+    assert empty.exit_code == 2
+    assert "the window of this probe ends where it begins" in empty.stderr
+    done = cli("run", "rc.toml", "--set", "probes.swing.from=0.001", "--json")
+    assert json.loads(done.stdout)["metrics"]["swing"] == pytest.approx(2.0, rel=2e-3)
+
+
+def test_a_port_at_a_column_of_a_missing_matrix(cli):
+    K = np.diag([2.0, 2.0, 1.0]) - np.diag([1.0, 1.0], 1) - np.diag([1.0, 1.0], -1)
+    np.savez("bar.npz", K=1e6 * K, M=np.eye(3))
+    Path("bar.toml").write_text('[[ports]]\nname = "tip"\nkind = "mechanical"\ncolumn = 1\n')
+    told = cli("reduce", "bar.npz")
+    assert told.exit_code == 2
+    assert "a port with the key `column` needs the matrix B" in told.stderr
+    assert "matrices K, M" in told.stderr
+
+
+def test_a_check_without_a_finite_value_is_printed():
+    """The record of a run contains null for an infinite error, as after a failed refinement."""
+    check = {"name": "error of x", "value": None, "limit": 0.01, "unit": "of the metric",
+             "passed": False, "action": "fail"}  # fmt: skip
+    text = format_summary({"checks": [check], "metrics": {}})
+    assert "inf" in str(text)
+
+
+def test_a_transient_card_without_an_end(cli):
+    scene = parse_toml("""
+        [drive]
+        part = "source"
+        dc = "1 V"
+        pins = { out = "load.a" }
+        [load]
+        part = "resistor"
+        resistance = "1 kOhm"
+        [analysis]
+        type = "transient"
+        stop = "2 ms"
+    """)
+    deck = kc.deck(scene)
+    text = deck.files[deck.main_file_name]
+    card = next(line for line in text.splitlines() if line.startswith(".tran"))
+    path = Path(deck.main_file_name)
+    path.write_text(text.replace(card, ".tran 1u"))
+    with pytest.raises(kc.errors.UsageError, match="is missing or not a number") as caught:
+        kc.run(scene, deck=path)
+    advised = caught.value.hint.rpartition("  ")[2]
+    path.write_text(text.replace(card, advised))
+    assert kc.run(scene, deck=path).metrics is not None
+
+
+def test_a_colon_inside_an_inline_table(cli):
+    """The proposed line is valid, and the scene then has both values."""
+    text = BUZZER.replace("[analysis]", "[disc.damping]\nX\n[analysis]")
+    line = 'pair = { first: "a:b", second : 50 }'
+    Path("own.toml").write_text(text.replace("X", line))
+    told = cli("explain", "own.toml").stderr
+    assert "':' stands between key and value" in told
+    assert 'pair = { first = "a:b", second = 50 }' in told

@@ -372,16 +372,24 @@ class LabelledMatrices:
         # without C in the files, the output matrix is the transpose of B
         C = self.matrices.get("C", B.T)
         where, place = self.sidecar.locate_entry(entry), entry.column or entry.row or 0
-        table, table_name = (B.T, "columns of B") if entry.row is None else (C, "rows of C")
+        table = B.T if entry.row is None else C
         if place > len(table):
-            counted = "column" if entry.row is None else "row"
-            hint = f"write  {counted} = {len(table)}" if len(table) else f"delete {counted}"
+            counted, letter = ("column", "B") if entry.row is None else ("row", "C")
+            if not len(table):
+                raise wrong(
+                    where,
+                    f"a port with the key `{counted}` needs the matrix {letter}",
+                    got=f"matrices {', '.join(sorted(self.matrices))}",
+                    expected=f"a {counted} of {letter}, or the keys `node` and `dof`",
+                    hint=f"add {letter} to the matrices, or write `node` and `dof` in place of "
+                    f"`{counted}`",
+                )
             raise wrong(
                 where,
                 f"there is no {counted} {place}",
                 got=place,
-                expected=f"1 to {len(table)}, the number of {table_name}",
-                hint=hint,
+                expected=f"1 to {len(table)}, the number of {counted}s of {letter}",
+                hint=f"write  {counted} = {len(table)}",
             )
         load = np.asarray(table[place - 1])
         if entry.kind in ("input", "output"):
