@@ -494,7 +494,7 @@ def mesh_stator(catch: CatchKeys, bore: BoreLattice) -> MeshTri2:
 
 
 def mesh_mover(bore: BoreLattice) -> tuple[MeshTri2, np.ndarray]:
-    """Mesh the axial section of the mover: a rectangle that encloses a sphere.
+    """Mesh half the axial section of the mover: the sphere and the air around it.
 
     The centre of the sphere is the origin. The second returned array is a mask of the triangles
     inside the sphere. Triangle edges on the surface of the sphere are curved, with middle nodes on

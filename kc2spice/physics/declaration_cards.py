@@ -739,9 +739,10 @@ def _write_kink_switches(declaration: Declaration, nodes: Mapping[str, Tree]) ->
 
     The switch makes ngspice place a time point at the kink. A time step across a kink would change
     the energy of a spring. ngspice shortens its time steps until the control voltage of a switch is
-    within 0.05 V of the threshold. The control voltage is 10 kV for each um of displacement, or 100
-    V for each unit of a function of states. With larger gains, the time steps before a fast
-    crossing of a kink would become too small.
+    within 0.05 V of the threshold. If the kink depends on a displacement only, the control voltage
+    rises by 10 kV per um. If the kink depends on states, the control voltage is 100 V times the
+    expression that is zero at the kink. With larger gains, the time steps before a fast crossing of
+    a kink would become too small.
     """
     moved = {b.name: b for b in declaration.displacement_branches}
     inner = {*declaration.states, *declaration.signals}

@@ -283,7 +283,7 @@ class DeclaredLaw(Device):
 
     @cached_property
     def _limit_function(self) -> _Compiled:
-        """Compiled function of the expressions that are positive in the valid range."""
+        """Compiled function of all limits: expressions that must be positive."""
         return self._compile_expressions(self.declaration.limit_trees.values())
 
     def _evaluate(self, compiled: _Compiled, e: np.ndarray, mode: Any) -> np.ndarray:

@@ -137,8 +137,8 @@ def _select_fit(f: np.ndarray, S: np.ndarray, noise: float, where: str) -> ABCD:
             where=where,
             got=f"{100 * least:.2g} % deviation for the most accurate of {len(fits)} models"
             if result
-            else f"{len(fits)} models that are not passive",
-            expected=f"less than {100 * POOR_DEVIATION:g} %",
+            else f"none of the {len(fits)} fitted models is passive",
+            expected=f"a passive model with a deviation of less than {100 * POOR_DEVIATION:g} %",
             hint="check the units of frequency and impedance, and the sign of the phase",
         )
     return result

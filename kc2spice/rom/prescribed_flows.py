@@ -1,4 +1,4 @@
-"""Heat flows into ports with prescribed temperatures, and errors of these flows.
+"""Heat flows into ports whose temperatures are prescribed, and their errors.
 
 :mod:`kc2spice.rom.interface_reduction` divides the unknowns into the prescribed temperatures
 ``T_i`` and all other temperatures ``T_e``. The vector Q contains the heat flows into the ports with
@@ -47,7 +47,7 @@ REFERENCE_SHARE = 0.01, 0.3
 def make_driven_model(
     model: LinearModel, parts: SplitHeatModel, *, stored: bool = True
 ) -> LinearModel:
-    """Make the model of free temperatures, driven by the prescribed temperatures.
+    """Make a heat model whose inputs are the prescribed heat flows and temperatures.
 
     The model of ``T_e`` has the inputs ``B_e`` and ``-K_ei``. If ``stored`` is true, the model also
     has the inputs ``E_ei``. Each column of an input matrix is a port.

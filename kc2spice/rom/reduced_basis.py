@@ -298,7 +298,7 @@ class ReducedBasis:
         return self.pencil.size
 
     def states(self, order: int) -> int:
-        """Return the number of states of the reduced model with ``order`` unknowns."""
+        """Count the first-order states of a reduced model with ``order`` unknowns."""
         return order * self.pencil.degree
 
     @property

@@ -82,7 +82,7 @@ class Response:
 
     @cached_property
     def _decoupling(self) -> Modes | None:
-        """Modes that decouple the pencil, or None if no congruence decouples it.
+        """Modes that diagonalise the matrices of the pencil; None if no congruence does.
 
         If the constructor has received modes, these modes are returned without a computation.
         """
@@ -256,7 +256,7 @@ class DirectResponse(Response):
 
     @cached_property
     def _decoupling(self) -> Modes | None:
-        """Modes that decouple the pencil: None, because each frequency is solved directly."""
+        """None instead of decoupling modes, as each frequency is solved directly."""
         return None
 
 

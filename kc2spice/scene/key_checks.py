@@ -38,7 +38,7 @@ def check_scene(scene: Scene) -> Iterator[UsageError]:
             "the scene has no parts",
             where="",
             expected="at least one table with part = TYPE",
-            hint="copy one of the scenes that kc2spice scenes lists",
+            hint="run  kc2spice scenes  and copy one of the listed scenes",
         )
         return
     yield from _check_parts(scene)

@@ -234,7 +234,7 @@ def _require_sweep_ends(selected: Analysis, unit: str) -> tuple[float, float]:
             "the range of the sweep is empty",
             where="analysis.to",
             got=f"{first:g} … {last:g} {unit}",
-            expected="two values",
+            expected="two different values",
             hint="write different values for the keys `from` and `to`",
         )
     return first, last

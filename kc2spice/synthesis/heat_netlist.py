@@ -63,8 +63,9 @@ class HeatModes:
 
     ``resistance`` and ``capacity`` contain the thermal resistance [K/W] and the heat capacity [J/K]
     of each mode. ``share[j, k]`` is the contribution of mode j to the temperature of port k,
-    relative to the temperature of the mode. ``direct`` is the matrix D of the model [K/W]: the
-    thermal resistances without heat capacity between the ports.
+    relative to the temperature of the mode. ``direct`` is the matrix D of the model. A heat flow
+    into port k raises the temperature of port j without delay by ``direct[j, k]`` [K/W] times the
+    heat flow.
     """
 
     resistance: np.ndarray

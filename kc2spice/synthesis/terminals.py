@@ -541,7 +541,7 @@ def _list_pin_comment_values(t: PortTerminal, base: str) -> dict[str, str]:
 
 
 def has_other_reference(domains: Iterable[Domain]) -> bool:
-    """Return whether all reference pins of physical domains differ from ``base``.
+    """Return whether pins other than ``base`` are the references of all domains.
 
     The result is false if no domain has a reference pin.
     """

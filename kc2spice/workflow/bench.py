@@ -15,9 +15,9 @@ scene, ``bench`` also computes the same error estimate as a run with an ``error_
 Times are medians of the simulator's CPU time. Each round runs all settings, so that a slower
 machine affects all settings equally.
 
-Errors of two keys may cancel by chance. A combination of settings is within the limit only if its
-error, and the sum of the errors of its single values, are within the limit. The sum of the errors
-is::
+The errors caused by two settings may cancel by chance. A combination of settings is within the
+limit only if its error, and the sum of the errors of its single values, are within the limit. The
+sum of the errors is::
 
     bound = sum_k max_{v at least as fine as v_k} |m(own, k = v) - m(own, k = finest)| / |m(own)|
 

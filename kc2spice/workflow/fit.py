@@ -46,7 +46,8 @@ from kc2spice.workflow.misfit import (
     find_likely_cause,
 )
 
-# Largest permitted rms misfit relative to |Y|; a larger misfit indicates another resonance or part.
+# Largest permitted rms misfit relative to |Y|. If the misfit is larger, the measurement probably
+# shows a different resonance, or a different part, than the model.
 MAX_MISFIT = 0.5
 # cost of a minimum, relative to the smallest cost, above which the minimum counts as worse
 WORSE_COST_RATIO = 2.0

@@ -271,6 +271,14 @@ def test_invalid_parameter_ranges_are_errors_before_the_mesh(parameters, word, m
         kc.run(kc.load_scene(_with(parameters)))
 
 
+def test_an_unknown_constant_of_a_material_table_is_not_called_a_name():
+    scene = _with({"layers[1].material.d31": [1.0, 2.0]})
+    ceramic = {**scene["disc"]["layers"][1], "material": {"like": "PZT-5A"}}
+    scene["disc"] = {**scene["disc"], "layers": [scene["disc"]["layers"][0], ceramic]}
+    with pytest.raises(UsageError, match="no numeric key of this name"):
+        kc.run(kc.load_scene(scene))
+
+
 def test_noise_of_a_box_is_refused():
     """Losses without noise would make the sum of a noise analysis too small."""
     scene = _with({KEY: ["0.11 mm", "0.13 mm"]})

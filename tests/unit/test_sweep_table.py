@@ -101,8 +101,8 @@ def test_damaged_rows_are_named(row, tmp_path):
     assert caught.value.exit_code == 2
     assert "damaged, or is not the results file" in caught.value.message
     if row[0]:
-        expected = f"point '{row[0]}', but the sweep has the points 0 to 1"
-        assert caught.value.got == expected
+        expected = f"the row belongs to point '{row[0]}', but the points of the sweep are numbered "
+        assert caught.value.got == expected + "0 to 1"
 
 
 @pytest.mark.parametrize(

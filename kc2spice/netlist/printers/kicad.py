@@ -432,11 +432,11 @@ def _assign_tracks(row: Iterable[_PlacedSymbol], y: int, upwards: bool) -> list[
 
 
 def _choose_columns(item: _PlacedSymbol, shared: Container[str]) -> dict[tuple[int, int], int]:
-    """Choose the wiring column of each pin end of a symbol, keyed by pin-end position.
+    """Choose the grid column of the vertical wire at each pin end of a symbol.
 
-    On each side of a symbol, the wire of the lowest pin is in the column next to the symbol. From
-    bottom to top, each pin has a column that is farther out than the columns and labels of all pins
-    below it.
+    The keys of the returned dictionary are the positions (x, y) of the pin ends. On each side of a
+    symbol, the wire of the lowest pin is in the column next to the symbol. From bottom to top, each
+    pin has a column that is farther out than the columns and labels of all pins below it.
     """
     result = {}
     for side, outwards in (("left", -1), ("right", 1), ("top", 0), ("bottom", 0)):

@@ -155,7 +155,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
         return max([self.get_min_band_end(scene), *content])
 
     def get_min_band_end(self, scene: Scene) -> float:
-        """Return the minimum [Hz] of the upper end of a default frequency band."""
+        """Return the smallest upper limit [Hz] that a default band can have."""
         return MIN_BAND_END
 
     def model_key(self, part: Part[LinearKeysT], scene: Scene) -> Mapping[str, Any]:

@@ -198,7 +198,7 @@ def _make_non_numeric_key_error(part: Part, key: str, where: str) -> UsageError:
             expected=f"{name}[0] … {name}[{count - 1}]" if count else "a key of another list",
             hint=advice,
         )
-    if "material" in plain.split("."):
+    if _has_named_material(part.keys, key):
         return wrong(
             where,
             "a material given only by its name has no constants that can be varied",
@@ -239,6 +239,18 @@ def _list_numeric_keys(value: Any, name: str = "") -> Iterator[str]:
     elif isinstance(value, list | tuple):
         for k, item in enumerate(value):
             yield from _list_numeric_keys(item, f"{name}[{k}]")
+
+
+def _has_named_material(keys: Any, key: str) -> bool:
+    """Return whether ``key`` lies below a material that the part states only by its name."""
+    for step in _split_key(key):
+        if isinstance(step, int):
+            keys = keys[step] if isinstance(keys, list | tuple) else None
+        else:
+            keys = dict(keys).get(step) if isinstance(keys, BaseModel | Mapping) else None
+        if step == "material":
+            return isinstance(keys, str)
+    return False
 
 
 def _find_missing_entry(keys: Any, key: str) -> tuple[str, int] | None:

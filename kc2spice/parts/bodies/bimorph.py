@@ -91,7 +91,9 @@ class BimorphKeys(FieldKeys):
     length: Extent = Field(gt=0, description="Free length of the beam, without its clamped ends")
     width: Width = Field(gt=0, description="Width of the beam")
     layers: tuple[BimorphLayer, ...] = Field(
-        examples=['[{ material = "PZT-5A", thickness = "0.2 mm" }]'], min_length=1
+        examples=['[{ material = "PZT-5A", thickness = "0.2 mm" }]'],
+        description="Layers of the beam from bottom to top",
+        min_length=1,
     )
     wiring: Literal["series", "parallel"] | None = Field(
         None,

@@ -146,6 +146,7 @@ class DiscKeys(FieldKeys):
 
     layers: tuple[DiscLayer, ...] = Field(
         examples=['[{ material = "PZT-5A", diameter = "20 mm", thickness = "0.2 mm" }]'],
+        description="Layers of the disc from bottom to top",
         min_length=1,
     )
     support: Literal["free", "clamped", "simply_supported"] | KnifeEdgeSupport = "free"

@@ -364,9 +364,9 @@ dc = "1 W"
         return build.scene.records[part.name].rest
 
     def get_min_band_end(self, scene: Scene) -> float:
-        """Return the minimum [Hz] of the upper end of a default frequency band.
+        """Return the smallest upper limit [Hz] that a default band can have.
 
-        The upper end is :data:`RUN_POINTS` divided by the duration of the run; a heat body has no
+        The upper limit is :data:`RUN_POINTS` divided by the duration of the run; a heat body has no
         resonances that could define the band.
         """
         return RUN_POINTS / scene.stop_time

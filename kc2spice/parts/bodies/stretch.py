@@ -63,8 +63,8 @@ class StretchKeys(Section):
     tension: Annotated[float, si("N")] = Field(
         0.0,
         description=(
-            "Axial tension of the beam or plate at rest, in addition to the key "
-            "`residual_stress` of its material"
+            "Axial tensile force in the beam or plate at rest, in addition to the force from "
+            "the `residual_stress` of its material"
         ),
     )
     rows: Count = Field(

@@ -211,7 +211,7 @@ class Pid(PartType[PidKeys]):
     def generate_tables(
         self, part: Part[PidKeys], data: Mapping[str, object]
     ) -> Mapping[str, Mapping[str, object]]:
-        """Return the table of the source that switches the controller on and off."""
+        """Return a mapping with one table: the source that switches the controller."""
         switching, pins = part.keys.switching_times, {"out": f"{part.name}.enable"}
         if len(switching) == 1:
             wave = {"high": 1.0, "width": 1e3, "edge": ENABLE_EDGE, "start": switching[0][0]}

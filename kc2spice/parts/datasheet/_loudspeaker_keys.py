@@ -174,8 +174,8 @@ class LoudspeakerKeys(ConductorKeys, NumberedKeys):
     tolerance: dict[str, Annotated[Ratio, Field(gt=0, lt=1)]] = Field(
         {},
         description=(
-            "Table of relative tolerances of data-sheet values; each entry has the same key as its "
-            "value, such as tolerance = { fs = '15 %' }"
+            "Relative tolerances of data-sheet values, each under the key of its value: for "
+            "example, tolerance = { fs = '15 %' } is the tolerance of the key `fs`"
         ),
     )
 

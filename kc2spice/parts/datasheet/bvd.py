@@ -129,8 +129,8 @@ class BvdKeys(RatedKeys):
     tolerance: dict[str, Annotated[Ratio, Field(gt=0, lt=1)]] = Field(
         {},
         description=(
-            "Table of relative tolerances of data-sheet values; each entry has the same key as its "
-            "value, such as tolerance = { c_low = '30 %' }"
+            "Relative tolerances of data-sheet values, each under the key of its value: for "
+            "example, tolerance = { c_low = '30 %' } is the tolerance of the key `c_low`"
         ),
     )
 

@@ -73,7 +73,7 @@ class CurrentCases(PartType[CurrentCasesKeys]):
     def generate_tables(
         self, part: Part[CurrentCasesKeys], data: Mapping[str, object]
     ) -> Mapping[str, Mapping[str, object]]:
-        """Return the table of the analysis: a dc sweep of the sphere's height."""
+        """Return a mapping with one table, ``analysis``: a dc sweep of the height."""
         sweep = {"type": "dc", "sweep": f"{part.name}.height", "points": LOOKUP_HEIGHTS}
         return {"analysis": sweep}
 

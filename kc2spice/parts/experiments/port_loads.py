@@ -85,7 +85,7 @@ class PortLoads(PartType[PortLoadsKeys]):
     def generate_tables(
         self, part: Part[PortLoadsKeys], data: Mapping[str, object]
     ) -> Mapping[str, Mapping[str, object]]:
-        """Return the table of the analysis: a linear frequency sweep of the unit loads."""
+        """Return a mapping with one table, ``analysis``: a linear frequency sweep."""
         start, stop, points = part.keys.start, part.keys.stop, part.keys.steps
         linear = {"scale": "linear", "points": points, "stop": stop}
         return {"analysis": {"type": "ac", "start": start + (stop - start) / points, **linear}}

@@ -73,7 +73,7 @@ class Push(TouchablePart[PushKeys]):
     def generate_tables(
         self, part: Part[PushKeys], data: Mapping[str, object]
     ) -> Mapping[str, Mapping[str, object]]:
-        """Return additional scene tables: the analysis, which is a dc sweep of the depth."""
+        """Return a mapping with one table, ``analysis``: a dc sweep of the depth."""
         points = part.keys.steps + 1
         return {"analysis": {"type": "dc", "sweep": f"{part.name}.depth", "points": points}}
 

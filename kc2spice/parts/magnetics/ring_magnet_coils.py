@@ -230,7 +230,7 @@ class RingMagnetCoils(TouchablePart[RingMagnetCoilsKeys]):
     def generate_tables(
         self, part: Part[RingMagnetCoilsKeys], data: Mapping[str, object]
     ) -> Mapping[str, Mapping[str, object]]:
-        """Return additional scene tables: the driver that the key ``driver`` describes."""
+        """Return a mapping with at most one table: the driver that ``driver`` describes."""
         if part.keys.driver is None:
             return {}
         known = {"linear": "linear_drive", "pwm": "pwm_drive", "user": "netlist"}

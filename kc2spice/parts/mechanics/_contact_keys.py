@@ -41,8 +41,8 @@ class ContactKeys(Section):
     rings: Rings = Field(
         "needed",
         description=(
-            "Contact rings in the model: all rings that can touch (needed), all rings (all), "
-            "or a number of rings from the centre"
+            "Contact rings in the model: `needed` selects the rings that can touch, `all` "
+            "selects all rings, and a number N selects the N rings nearest to the centre"
         ),
     )
     a: str | tuple[str, ...] | None = Field(

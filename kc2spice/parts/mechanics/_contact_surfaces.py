@@ -368,7 +368,7 @@ class ContactPair:
                     "modulus",
                     f"the modulus of {side.part} is not known",
                     expected='a pressure such as "110 GPa", or a material for each side',
-                    hint='add  modulus = "110 GPa"  with the combined modulus of both materials',
+                    hint='add the combined modulus of both materials, such as  modulus = "110 GPa"',
                 )
             compliance += 1 / side.modulus
         return 1 / compliance
@@ -430,7 +430,7 @@ class ContactPair:
         return np.asarray(force / result.sum() * result)
 
     def estimate_basis_error(self) -> float:
-        """Return the error estimate of the contact force due to the pressure basis.
+        """Estimate the relative error that the pressure basis causes in the contact force.
 
         The estimate is 0 for a contact with rings. The estimate is proportional to the largest
         relative change of the contact force when the width of the basis functions is halved. The

@@ -192,7 +192,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
     def generate_tables(
         self, part: Part[SphereKeys], data: Mapping[str, object]
     ) -> Mapping[str, Mapping[str, object]]:
-        """Return additional scene tables: the part for the sphere's elasticity, if any.
+        """Return a mapping with at most one table: the part for the sphere's elasticity.
 
         Return no table for a rigid sphere.
         """

@@ -195,9 +195,9 @@ def _compute_gramian_root(T: np.ndarray, Q: np.ndarray, transposed: bool = False
 def _solve_sylvester(A: np.ndarray, B: np.ndarray, C: np.ndarray) -> np.ndarray:
     """Solve ``A X + X B' = C`` for X by recursion; A and B are in real Schur form.
 
-    LAPACK computes one column of X after another. The recursion computes most of X by faster
-    products of large blocks. Source: I. Jonsson, B. Kagstrom, ACM Trans. Math. Softw. 28 (2002)
-    392.
+    LAPACK computes one column of X after another. The recursion is faster than LAPACK, because it
+    computes most of X by products of large matrix blocks. Source: I. Jonsson, B. Kagstrom, ACM
+    Trans. Math. Softw. 28 (2002) 392.
     """
     rows, columns = C.shape
     if max(rows, columns) <= SYLVESTER_BLOCK:

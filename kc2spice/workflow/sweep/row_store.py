@@ -73,7 +73,8 @@ class RowStore:
             for point, text in self._rows.execute("select * from row") if stored == digest else ():
                 if point not in range(points):
                     raise ValueError(
-                        f"point {str(point)[:80]!r}, but the sweep has the points 0 to {points - 1}"
+                        f"the row belongs to point {str(point)[:80]!r}, "
+                        f"but the points of the sweep are numbered 0 to {points - 1}"
                     )
                 self._store_outcome(point, _OUTCOME_ADAPTER.validate_json(text, strict=True))
         except (sqlite3.Error, ValueError) as error:

@@ -2,12 +2,12 @@
 
 An integrator with equal steps (:mod:`kc2spice.reference.fixed_step_integrator`) solves the scene
 with full and with reduced models. The difference between the integrator's solutions with full and
-with reduced models is the effect of the model reduction. To obtain a solution with full models, the
-effect of the model reduction is added to the accurate solution with reduced models. The time steps
-cause nearly the same error with full and with reduced models, so that most of this error cancels in
-the difference. The integrator computes the difference between full and reduced models again with
-steps twice as long. The change due to the longer steps is an estimate of the error that remains in
-the difference.
+with reduced models is the effect of the model reduction. An accurate solution with reduced models,
+plus the effect of the model reduction, is the solution with full models. The time steps cause
+nearly the same error with full and with reduced models, so that most of this error cancels in the
+difference. The integrator computes the difference between full and reduced models again with steps
+twice as long. The change due to the longer steps is an estimate of the error that remains in the
+difference.
 """
 
 from __future__ import annotations
