@@ -124,8 +124,9 @@ def _integrate_modes(
 ) -> np.ndarray:
     """Integrate the first-order differential equation of each thermal mode over time.
 
-    Mode k satisfies the equation ``times[k] (dx_k/dt + rates[k] x_k) = loads[:, k]`` for the state
-    x_k. Return the states x, an array with one row for each sample and one column for each mode.
+    The state x_k of mode k satisfies the equation
+    ``times[k] * (dx_k/dt + rates[k] * x_k) = loads[:, k]``. Return the states x, an array with one
+    row for each sample and one column for each mode.
     The loads are linear between samples. In a mode without heat capacity, the state is equal to the
     load.
     """

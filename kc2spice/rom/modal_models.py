@@ -253,8 +253,8 @@ MASSLESS_ERROR = 1e-3
 # Modes with little damping depend on the mesh, ring for hundreds of periods, and limit time steps.
 # With massless modes instead, the simulated launch of a chip needs a third of the time points.
 # Massless modes change the simulated launch of a chip with 0.01 % damping by 1.2e-3.
-# A finer model changes the simulated launch of the chip in the same direction, but by four times as
-# much as massless modes.
+# A finer model also changes the simulated launch: in the same direction as massless modes, but by
+# four times as much.
 RINGING_ERROR = 1e-2
 MAX_RINGING_RATIO = 0.02
 # A mode may become massless if (frequency / end of the band) exceeds this ratio.

@@ -127,8 +127,8 @@ def _project_on_responses(
 ) -> tuple[LinearModel, SplitHeatModel, float]:
     """Replace a large model by its projection on responses in the ``band`` [Hz].
 
-    Return the smaller model, its division into prescribed temperatures and all other unknowns, and
-    its error. The error is far below the ``tolerance``.
+    Return the smaller model, the division of its unknowns into prescribed and free temperatures,
+    and its error. The error is far below the ``tolerance``.
     """
     limits = (share * tolerance for share in REFERENCE_SHARE)
     space = build_intermediate_model(make_driven_model(model, parts).pencil, band, *limits)

@@ -74,7 +74,7 @@ UNITS_WITHOUT_PREFIX = (
 # kinds of phase columns; in a passive part, these phases are within one turn
 PASSIVE_PHASES = ("phase", "phase_z", "phase_y", "gain_phase")
 MAX_PHASE = 2.02 * np.pi  # rad, largest phase: one turn plus 1 % for noise
-# Limits by which the reader chooses radians or degrees for a column of angles without a unit.
+# Limits that decide whether angles without a unit are in radians or in degrees.
 # The unit is rad if the values are between -0.51 pi and 0.51 pi and span more than 0.5. Otherwise,
 # the unit is degrees.
 RADIAN_LIMITS = 0.51 * np.pi, 0.5

@@ -527,11 +527,11 @@ def estimate_impact_indentation(
 ) -> Iterator[LargestIndentation]:
     """Yield the largest indentation by a sphere that hits a surface.
 
-    The sphere arrives at ``speed`` [m/s]. ``why`` describes in words the event that causes the
-    indentation. Among all states with the indentation d, the static state has the smallest stored
-    energy. The static law of Hertz (1881) therefore gives an upper bound of d: ``m v^2 / 2 = 8/15 E
-    sqrt(R) d^(5/2)``. m is the mass of the sphere, v is its speed, R is its radius, and E is the
-    combined modulus.
+    ``speed`` is the speed [m/s] of the sphere when the contact closes. ``why`` describes in words
+    the event that causes the indentation. Among all states with the indentation d, the static state
+    has the smallest stored energy. The static law of Hertz (1881) therefore gives an upper bound of
+    d: ``m v^2 / 2 = 8/15 E sqrt(R) d^(5/2)``. m is the mass of the sphere, v is its speed, R is its
+    radius, and E is the combined modulus.
     """
     energy = 0.5 * mass * speed**2
     for contact in scene.list_parts("contact"):
