@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, NoReturn
 
@@ -208,6 +208,16 @@ def list_candidates(word: object, choices: Iterable[str], command: str | None = 
     nearest = sorted(names, key=compute_dissimilarity)[:MAX_CANDIDATES]
     where = "" if command is None else f": {command}"
     return f"{', '.join(nearest)}, … ({len(names)} in all{where})"
+
+
+def join_first(items: Sequence[str], separator: str = ", ") -> str:
+    """Join at most the first five items; an ellipsis stands for further items.
+
+    >>> join_first(["a", "b", "c", "d", "e", "f"])
+    'a, b, c, d, e, …'
+    """
+    more = ("…",) if len(items) > MAX_CANDIDATES else ()
+    return separator.join((*items[:MAX_CANDIDATES], *more))
 
 
 def did_you_mean(word: str, choices: Iterable[str]) -> str | None:

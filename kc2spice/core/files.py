@@ -83,14 +83,7 @@ def stage_directory(out: Path | str, *, with_hashes: bool = False) -> Iterator[P
     ------
     UsageError : the path ``out`` denotes a file, or a directory that cannot be created or written.
     """
-    if not isinstance(out, (str, Path)):
-        raise UsageError(
-            "this object is not the path of a directory",
-            where="out",
-            got=repr(out)[:120],
-            expected="a str or a Path",
-            hint='for example "results"',
-        )
+    _require_path(out, "out", "directory", "results")
     if "\0" in str(out):
         raise UsageError(
             "this path contains a zero byte", where=repr(str(out)), hint=_OTHER_DIRECTORY_HINT
@@ -151,6 +144,19 @@ def make_write_error(typed: str, directory: Path, reason: str) -> UsageError:
     )
 
 
+def _require_path(path: object, argument: str, kind: str, example: str) -> Path:
+    """Return an argument as a path; reject an object that is neither a str nor a Path."""
+    if isinstance(path, (str, Path)):
+        return Path(path)
+    raise UsageError(
+        f"this object is not the path of a {kind}",
+        where=argument,
+        got=repr(path)[:120],
+        expected="a str or a Path",
+        hint=f'for example "{example}"',
+    )
+
+
 @contextmanager
 def open_folder_of_file(path: object) -> Iterator[Path]:
     """Create the missing parent folders of a file to be written; yield its path.
@@ -159,17 +165,10 @@ def open_folder_of_file(path: object) -> Iterator[Path]:
     ------
     UsageError : ``path`` is neither a string nor a path, or the file cannot be written.
     """
-    if not isinstance(path, (str, Path)):
-        raise UsageError(
-            "this object is not the path of a file",
-            where="path",
-            got=repr(path)[:120],
-            expected="a str or a Path",
-            hint='for example "results/NAME"',
-        )
+    file = _require_path(path, "path", "file", "results/NAME")
     try:
-        Path(path).parent.mkdir(parents=True, exist_ok=True)
-        yield Path(path)
+        file.parent.mkdir(parents=True, exist_ok=True)
+        yield file
     except (OSError, ValueError) as error:  # a ValueError for a path with a zero byte
         raise UsageError(
             "this file cannot be written",
@@ -194,7 +193,8 @@ def _publish_files(work: Path, out: Path, with_hashes: bool) -> dict[str, str]:
         if Path(RESULT_FILE) in files:
             _record_hashes(work, files)
         stale = list_earlier_files(out) - set(map(str, files))
-        edited = [name for name in files if _is_edited(work, out, name)]
+        known = [_read_hashes(out / record) for record in (RESULT_FILE, HASHES_FILE)]
+        edited = [name for name in files if _is_edited(work, out, name, known)]
         backups = {}
         for name in sorted(files, key=_rank_main_file, reverse=True):
             if name in edited:
@@ -219,12 +219,15 @@ def _write_hashes_file(work: Path, out: Path, files: list[Path]) -> None:
     (work / HASHES_FILE).write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
 
 
-def _is_edited(work: Path, out: Path, name: Path) -> bool:
-    """Return whether a new file would replace a file that kc2spice has not written."""
+def _is_edited(work: Path, out: Path, name: Path, known: Sequence[dict[str, str]]) -> bool:
+    """Return whether a new file would replace a file that kc2spice has not written.
+
+    ``known`` contains the hashes of earlier files, as :func:`_read_hashes` returns them.
+    """
     if not name.name.endswith(_EDITABLE_NAME_ENDS) or not (out / name).is_file():
         return False
-    known = [_read_hashes(out / record).get(str(name)) for record in (RESULT_FILE, HASHES_FILE)]
-    return _hash_file(out / name) not in (*known, _hash_file(work / name))
+    earlier = [hashes.get(str(name)) for hashes in known]
+    return _hash_file(out / name) not in (*earlier, _hash_file(work / name))
 
 
 def _rename_to_backup(path: Path) -> str:

@@ -114,7 +114,7 @@ def _clip_to_window(
     scale, values = scale[::direction], values[::direction]
     for key, end in zip(("from", "to"), window, strict=True):
         if math.isfinite(end) and not _is_on_scale(scale, end):
-            raise _make_outside_error(f"{where}.{key}", end, scale)
+            raise make_outside_error(f"{where}.{key}", end, scale.min(), scale.max())
     low, high = max(window[0], scale[0]), min(window[1], scale[-1])
     if low >= high and scale.size > 1:
         raise UsageError(
@@ -247,21 +247,27 @@ def _is_on_scale(scale: np.ndarray, place: float) -> bool:
     return bool(scale.min() - slack <= place <= scale.max() + slack)
 
 
-def _make_outside_error(where: str, place: float, scale: np.ndarray) -> UsageError:
-    """Make the error for a position outside the analysed time, frequency or key range."""
-    key, middle = where.rpartition(".")[2], (float(scale.min()) + float(scale.max())) / 2
+def make_outside_error(
+    where: str, place: float, first: float, last: float, unit: str = ""
+) -> UsageError:
+    """Make the error for a position outside the analysed time, frequency or key range.
+
+    The range is ``first`` to ``last`` in ``unit``. The error suggests the last position, but for
+    the key ``from``, at which a window begins, the middle of the range.
+    """
+    key = where.rpartition(".")[2]
     return UsageError(
         "this time, frequency or swept value is outside of the range of the analysis",
         where=where,
         got=f"{place:g}",
-        expected=f"{scale.min():g} … {scale.max():g}",
-        hint=f"write for example  {key} = {middle if key == 'from' else float(scale.max()):g}",
+        expected=f"{first:g} … {last:g} {unit}".rstrip(),
+        hint=f"write for example  {key} = {(first + last) / 2 if key == 'from' else last:g}",
     )
 
 
 def _interpolate_value(scale: np.ndarray, values: np.ndarray, place: float, where: str) -> float:
     """Interpolate a waveform at a position; return the magnitude of a complex value."""
     if not _is_on_scale(scale, place):
-        raise _make_outside_error(f"{where}.at", place, scale)
+        raise make_outside_error(f"{where}.at", place, scale.min(), scale.max())
     result = interpolate(place, scale, values)
     return float(np.abs(result)) if np.iscomplexobj(result) else float(result)

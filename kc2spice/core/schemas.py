@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import partial
-from typing import Any, get_args
+from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, BeforeValidator
 from pydantic.fields import FieldInfo
@@ -12,6 +12,7 @@ from pydantic.fields import FieldInfo
 from kc2spice.core.quantities import PlausibleRange, UsualRange
 
 KeyPath = tuple[str | int, ...]
+T = TypeVar("T")
 
 
 def list_keys(schema: type[BaseModel]) -> Iterator[tuple[tuple[str, ...], FieldInfo]]:
@@ -56,15 +57,17 @@ def find_unit(field: FieldInfo) -> str | None:
 
 def get_plausible_range(field: FieldInfo) -> PlausibleRange | None:
     """Return the range of plausible values of a schema field; None if it has no range."""
-    return next(
-        (meta for meta in _list_field_metadata(field) if isinstance(meta, PlausibleRange)), None
-    )
+    return _find_metadata(field, PlausibleRange)
 
 
 def get_usual_range(field: FieldInfo) -> UsualRange | None:
     """Return the range of usual values of a schema field; None if it has no range."""
-    ranges = (meta for meta in _list_field_metadata(field) if isinstance(meta, UsualRange))
-    return next(ranges, None)
+    return _find_metadata(field, UsualRange)
+
+
+def _find_metadata(field: FieldInfo, kind: type[T]) -> T | None:
+    """Find the first metadata of a schema field that is an instance of ``kind``."""
+    return next((meta for meta in _list_field_metadata(field) if isinstance(meta, kind)), None)
 
 
 def join_path(path: KeyPath) -> str:

@@ -160,10 +160,8 @@ class DampingKeys(Section):
                 "a damping ratio of at least 0, and a frequency above 0",
                 hint='for example  ratio = 0.01  and  at = "5 kHz"',
             )
-        inverse = [0.5 / self.quality] if self.quality is not None else []
-        half = [0.5 * self.loss_factor] if self.loss_factor is not None else []
         reject_overcritical_damping(
-            max([*values, *inverse, *half], default=0.0),
+            self.zeta,
             "a damping ratio below 1, a Q factor above 0.5, or a loss factor below 2",
             "for 1 % damping, write ratio = 0.01 or quality = 50",
         )

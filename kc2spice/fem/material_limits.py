@@ -83,8 +83,7 @@ def reject_mixed_elastic_units(key: str, values: _Values) -> None:
     ``key`` is ``stiffness``, ``compliance`` or ``youngs_modulus``. With ``youngs_modulus``, the
     ``values`` are all moduli, keyed by name.
     """
-    is_mapping = isinstance(values, Mapping)
-    entries = values if isinstance(values, Mapping) else _name_diagonal(key, values)
+    entries = _name_diagonal(key, values)
     sizes = {name: abs(value) for name, value in entries.items() if value}
     if not sizes:
         return
@@ -99,7 +98,7 @@ def reject_mixed_elastic_units(key: str, values: _Values) -> None:
         return
     unit, exponent, likely = ("1/Pa", -12, "1/TPa") if soft else ("Pa", 9, "GPa")
     hint = f"state all values in {unit}; these values seem to be in {likely}"
-    if is_mapping:
+    if isinstance(values, Mapping):
         hint = f"write  {_scale_components(wrong, exponent)}  if the values are in {likely}"
     raise UsageError(
         "some elastic constants are in another unit than the other constants",

@@ -201,8 +201,8 @@ class Material(EqualByContent):
     def slowest_wave_speed(self) -> float:
         """Lower limit [m/s] of the speeds of all waves in the material.
 
-        The limit is the square root of the smallest eigenvalue of the stiffness matrix, divided by
-        the density. For an isotropic material, the limit is the speed of shear waves.
+        The limit is ``sqrt(c / rho)``, where c is the smallest eigenvalue of the stiffness matrix,
+        and rho is the density. For an isotropic material, the limit is the speed of shear waves.
         """
         return float(np.sqrt(np.linalg.eigvalsh(self.C)[0] / self.density))
 

@@ -8,14 +8,14 @@ and options that differ between the edited file and the deck of the scene. The m
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from operator import attrgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from kc2spice.core.errors import MAX_CANDIDATES, UsageError
+from kc2spice.core.errors import MAX_CANDIDATES, UsageError, join_first
 from kc2spice.core.untrusted_files import reject_toml_file
 from kc2spice.netlist.card_parser import Statement, build_tree
 from kc2spice.netlist.circuit import Element
@@ -138,7 +138,7 @@ def read_edited_deck(original: Deck, path: Path) -> DeckEdits:
     )
 
 
-def _require_analysis(original: Deck, cards: Iterable[Statement], path: Path) -> Statement:
+def _require_analysis(original: Deck, cards: Collection[Statement], path: Path) -> Statement:
     """Return the only analysis card of an edited deck; reject a changed analysis.
 
     Raises
@@ -146,7 +146,6 @@ def _require_analysis(original: Deck, cards: Iterable[Statement], path: Path) ->
     UsageError : the deck contains several analyses, or an analysis that differs from the
         ``original``.
     """
-    cards = list(cards)
     analyses = [card for card in cards if card.keyword in ANALYSES]
     if not analyses and any(card.keyword == ".subckt" for card in cards):
         _require_top_level_elements(original, cards, path)
@@ -194,10 +193,10 @@ def _has_equal_words(card: str, analysis: Statement) -> bool:
 
     def parse_word(word: str) -> float | str:
         """Return a word as a number, or otherwise in lower case."""
+        number = None
         with suppress(UsageError):
             number = parse_literal(word)
-            return word.lower() if number is None else number
-        return word.lower()
+        return word.lower() if number is None else number
 
     return list(map(parse_word, card.split())) == list(map(parse_word, analysis.words))
 
@@ -214,28 +213,26 @@ def _require_saved_vectors(original: Deck, cards: Iterable[Statement], path: Pat
         if card.keyword == ".save":
             saved.update(map(parse_vector, map(str.lower, card.words[1:])))
     missing = [name for name in original.saved_vectors if parse_vector(name.lower()) not in saved]
-    if not saved:  # ngspice then saves only node voltages and currents of voltage sources
-        saved.add(parse_vector("all"))
+    if not saved:  # without .save, ngspice saves only node voltages and currents of voltage sources
         devices = [name for name in missing if name.startswith("@")]
         if devices:
-            hint = "add this line to the deck: .save all " + " ".join(devices)
             raise UsageError(
                 "this deck has no line .save, but the scene's metrics need currents of devices",
                 where=str(path),
                 got="no .save",
-                expected=f"a line .save with {', '.join(devices[:MAX_CANDIDATES])}"
-                f"{', …' if len(devices) > MAX_CANDIDATES else ''}",
-                hint=hint,
+                expected=f"a line .save with {join_first(devices)}",
+                hint=f"add this line to the deck: .save all {' '.join(devices)}",
             )
-    if saved and parse_vector("all") not in saved and len(missing) == len(original.saved_vectors):
+        return
+    if parse_vector("all") not in saved and len(missing) == len(original.saved_vectors):
         raise UsageError(
             "this deck is not a deck of this scene",
             where=str(path),
             got=f"a deck that saves none of the vectors of {original.name}",
-            expected=f".save with {', '.join(missing[:5])}{', …' if len(missing) > 5 else ''}",
+            expected=f".save with {join_first(missing)}",
             hint=f"edit a copy of the deck that  kc2spice export {original.name}  writes",
         )
-    if saved and parse_vector("all") not in saved and missing:
+    if parse_vector("all") not in saved and missing:
         raise UsageError(
             "the scene's metrics need vectors that this deck does not save",
             where=str(path),

@@ -401,7 +401,7 @@ def _warn_of_milli(cards: Iterable[Statement]) -> None:
     A netlist without lower-case letters has no other spelling of milli, and causes no warning.
     """
     cards = [card for card in cards if not card.keyword.startswith(".end")]
-    if not any(map(re.compile("[a-z]").search, map(attrgetter("written"), cards))):
+    if not any(re.search("[a-z]", card.written) for card in cards):
         return
     for card in cards:
         for value in _list_mega_candidates(card):
@@ -696,8 +696,9 @@ def _require_known_options(card: Statement) -> None:
     """
     for word in card.words[1:] if card.keyword in OPTION_CARDS else ():
         name = word.partition("=")[0].lower()
-        suggestion = did_you_mean(name, sorted(ALLOWED_OPTIONS))
-        if name not in ALLOWED_OPTIONS and suggestion:
+        if name in ALLOWED_OPTIONS:
+            continue
+        if suggestion := did_you_mean(name, sorted(ALLOWED_OPTIONS)):
             raise card.make_error(
                 f"the option {name} does not exist",
                 card.written[:120],

@@ -10,6 +10,7 @@ from math import inf
 from operator import attrgetter
 
 from kc2spice.core.errors import UsageError, list_candidates
+from kc2spice.core.probe_values import make_outside_error
 from kc2spice.core.quantities import USUAL_GRAVITY, convert_quantity
 from kc2spice.core.schemas import find_unit
 from kc2spice.core.si_prefix_format import format_quantity
@@ -389,20 +390,7 @@ def _check_probe_position(where: str, place: float, scene: Scene) -> Iterator[Us
     ends = {"ac": band, "noise": band, "transient": (0.0, scene.stop_time)}
     first, last = ends.get(selected.type, (-inf, inf))
     if not first <= place <= last:
-        expected = f"{first:g} … {last:g} {unit or ''}".rstrip()
-        yield UsageError(
-            "this time, frequency or swept value is outside of the range of the analysis",
-            where=where,
-            got=f"{place:g}",
-            expected=expected,
-            hint=_suggest_position(where, first, last),
-        )
-
-
-def _suggest_position(where: str, first: float, last: float) -> str:
-    """Suggest a position inside the range of the analysis; a window begins in its middle."""
-    key = where.rpartition(".")[2]
-    return f"write for example  {key} = {(first + last) / 2 if key == 'from' else last:g}"
+        yield make_outside_error(where, place, first, last, unit or "")
 
 
 def _find_independent_variable_unit(scene: Scene) -> str | None:

@@ -371,9 +371,10 @@ def _advise_drive(scene: Scene, ports: Sequence[tuple[str, str]]) -> str:
     targets = {target for port in ports for target in scene.parts[port[0]].pins.values()}
     near = [source for source in sources if f"{source.name}.out" in targets]
     near += [source for source in sources if {*map(".".join, ports)} & {*source.pins.values()}]
-    for source in (*near, *sources):
+    if sources:
+        source = [*near, *sources][0]
         return f'write  ac = "1 {getattr(source.keys, "unit", "V")}"  in [{source.name}]'
-    name = next(word for word in ("drive", "ac_drive", "drive_2") if word not in scene.parts)
+    name = NameAllocator(scene.parts).allocate_name("drive", "drive")
     for part in scene.parts.values():
         for pin in part.type.pins(part, scene):
             domain = pin.domain

@@ -139,8 +139,8 @@ def _check_value(
     elif isinstance(value, float) and value:
         errors: list[UsageError] = []
         if plausible is not None:
-            role = plausible
-            errors += check_range(where, value, role.unit, role.low, role.high, role.why)
+            low, high, why = plausible.low, plausible.high, plausible.why
+            errors += check_range(where, value, plausible.unit, low, high, why)
         if usual is not None and not errors:
             errors += check_usual_range(where, value, usual)
         yield from errors
@@ -157,12 +157,14 @@ def check_layers(
     """
     rows = list(entries)
     metal = max((width for width, _, ceramic in rows if not ceramic), default=0.0)
-    thick = "no layer is more than {:g} times as thick as it is wide, {}"
     wide = "ceramic that is wider than its plate breaks off"
     for k, (width, thickness, ceramic) in enumerate(rows):
-        reason = thick.format(MAX_LAYER_ASPECT, format_quantity(width, "m"))
+        thick = (
+            f"no layer is more than {MAX_LAYER_ASPECT:g} times as thick as it is wide, "
+            f"{format_quantity(width, 'm')}"
+        )
         yield from check_range(
-            f"{where}.{k}.thickness", thickness, "m", 0.0, MAX_LAYER_ASPECT * width, reason
+            f"{where}.{k}.thickness", thickness, "m", 0.0, MAX_LAYER_ASPECT * width, thick
         )
         if plate and ceramic and metal:
             yield from check_range(

@@ -595,18 +595,16 @@ def _find_key_path(table: object, key: str) -> str | None:
     """
     path: list[str] = []
     for step in filter(None, re.split(r"[.\[\]]+", key)):
-        names: dict[str, str] = {}
-        if isinstance(table, Mapping):
-            names = {name: name for name in table}
-        elif isinstance(table, (list, tuple)):
-            names = {str(number): str(number) for number in range(len(table))}
-            for number, entry in enumerate(table):
-                if isinstance(entry, Mapping) and isinstance(entry.get("name"), str):
-                    names[entry["name"]] = str(number)
-        if step not in names:
+        name = step
+        if isinstance(table, (list, tuple)):
+            table = {str(number): entry for number, entry in enumerate(table)}
+            for number, entry in table.items():
+                if isinstance(entry, Mapping) and entry.get("name") == step:
+                    name = number
+        if not isinstance(table, Mapping) or name not in table:
             return None
-        path.append(names[step])
-        table = table[names[step]] if isinstance(table, Mapping) else table[int(names[step])]  # type: ignore[index]
+        path.append(name)
+        table = table[name]
     return ".".join(path)
 
 

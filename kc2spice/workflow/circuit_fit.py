@@ -8,7 +8,7 @@ are the logarithms of the values, limited to their ranges.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from operator import attrgetter
@@ -116,9 +116,8 @@ def _reject_source(scene: Scene, part: str) -> None:
         return
     names = []
     for name, item in get_scene_laws(build_models(scene, StageTimer())).equations.items():
-        pairs = [{f"{name}.{v}", f"{name}.{i}"} for v, i in _IMPEDANCE_RESULTS]
         is_source = name not in scene.parts or scene.parts[name].type.name == "source"
-        if not is_source and any(item.results.keys() >= pair for pair in pairs):
+        if not is_source and _find_impedance_results(name, item.results) is not None:
             names.append(name)
     expected = "a part with an impedance"
     raise UsageError(
@@ -132,13 +131,21 @@ def _reject_source(scene: Scene, part: str) -> None:
     )
 
 
+def _find_impedance_results(part: str, results: Collection[str]) -> tuple[str, str] | None:
+    """Return the names of the voltage and the current of a part; None without both."""
+    for voltage, current in _IMPEDANCE_RESULTS:
+        pair = f"{part}.{voltage}", f"{part}.{current}"
+        if pair[0] in results and pair[1] in results:
+            return pair
+    return None
+
+
 def _find_network(scene: Scene, part: str) -> tuple[Network, str, str]:
     """Return the network of a part, and the names of the part's voltage and current."""
     kind = scene.get_part(part, where=part).type.name
     laws = get_scene_laws(build_models(scene, StageTimer()))
     results = laws.equations[part].results if part in laws.equations else {}
-    names = [(f"{part}.{voltage}", f"{part}.{current}") for voltage, current in _IMPEDANCE_RESULTS]
-    pair = next((pair for pair in names if results.keys() >= set(pair)), None)
+    pair = _find_impedance_results(part, results)
     if part not in laws.parts_without_law and pair is None:
         raise UsageError(
             "this part has no impedance",

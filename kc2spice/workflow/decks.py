@@ -35,6 +35,7 @@ from kc2spice.scene.start_conditions import FloatingNets, find_floating_nets, fi
 from kc2spice.workflow.measure_cards import list_measure_cards
 from kc2spice.workflow.part_models import build_models
 from kc2spice.workflow.parts_from_edited_deck import with_edited_parameters
+from kc2spice.workflow.time_step import find_step_reason
 
 # Inductance [H] of an inductor that fixes a floating displacement at the operating point.
 # The current of the inductor acts as a force, which is negligible above 1 Hz.
@@ -105,9 +106,7 @@ def make_deck(build: BuiltScene) -> Deck:
         measures=list_measure_cards(build, sweep_scale),
         stop=scene.stop_time if scene.analysis.type == "transient" else None,
         max_step=build.largest_step.step if build.largest_step else None,
-        step_reason=build.largest_step.why
-        if build.largest_step and not scene.solver.max_step
-        else "",
+        step_reason=find_step_reason(build),
         initial_voltages=_list_initial_voltages(build, loose),
         may_have_loop=any(_is_controller(part, scene) for part in scene.parts.values()),
         trusted=build.trust,

@@ -13,7 +13,12 @@ import numpy as np
 from scipy.signal import find_peaks
 
 from kc2spice.core.errors import UsageError
-from kc2spice.parts.bodies._varied_keys import VariedKey, make_varied_key, read_number_key
+from kc2spice.parts.bodies._varied_keys import (
+    VariedKey,
+    make_varied_key,
+    read_number_key,
+    split_key,
+)
 from kc2spice.scene.scene_classes import Scene
 from kc2spice.workflow.sweep.grid import parse_value, require_equal_unit_use
 
@@ -132,11 +137,13 @@ def name_scene_keys(scene: Scene, part: str, values: Mapping[str, float]) -> dic
     for key, value in values.items():
         plain = key.removesuffix("[0]")
         entry: Any = scene.tables.get(part)
-        for step in re.findall(r"(?<=\[)-?\d+(?=\])|\w+", plain):
+        for step in split_key(plain):
             if isinstance(entry, Mapping):
                 entry = entry.get(step)
+            elif isinstance(entry, (list, tuple)) and isinstance(step, int):
+                entry = entry[step]
             else:
-                entry = entry[int(step)] if isinstance(entry, (list, tuple)) else None
+                entry = None
         result[f"{part}.{key if isinstance(entry, (list, tuple)) else plain}"] = value
     return result
 

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from kc2spice.core.errors import MAX_CANDIDATES
+from kc2spice.core.errors import join_first
 from kc2spice.netlist.edited_deck import DeckEdits
 from kc2spice.scene.scene_classes import BuiltScene, Part
 from kc2spice.workflow.part_models import replace_parts
@@ -67,10 +67,10 @@ def _warn_about_overrides(build: BuiltScene, edits: DeckEdits, path: Path) -> No
     for key, origin in source.overrides.items() if source is not None else ():
         values = list(dict.fromkeys(_list_deck_values(build, edits, key)))
         if values:
-            listed = "; ".join((*values[:MAX_CANDIDATES], *["…"][: len(values) > MAX_CANDIDATES]))
             warnings.warn(
-                f"{path}: the values of the deck apply, and they differ from {origin}: {listed}; "
-                "leave out this override, or edit a new export with this override",
+                f"{path}: the values of the deck apply, and they differ from {origin}: "
+                f"{join_first(values, '; ')}; leave out this override, or edit a new export with "
+                "this override",
                 stacklevel=2,
             )
 

@@ -98,6 +98,13 @@ def choose_largest_step(build: BuiltScene) -> StepLimit:
     return min(limits, key=attrgetter("step"))
 
 
+def find_step_reason(build: BuiltScene) -> str:
+    """Return the reason for the largest time step; empty if the scene sets the step."""
+    if build.scene.solver.max_step or build.largest_step is None:
+        return ""
+    return build.largest_step.why
+
+
 def _is_thermal_and_aperiodic(network: Network, motion: ExponentialSolution) -> bool:
     """Return whether a network conducts heat and has no oscillating mode.
 
@@ -377,10 +384,10 @@ def _make_step_check(name: str, largest: tuple[float, float, str], build: BuiltS
     """
     amplitude, _, wave = largest
     advice = "the steps are too coarse for a resonance: "
-    if build.scene.solver.max_step or build.largest_step is None:
-        advice += "leave solver.max_step out, or lower it"
+    if reason := find_step_reason(build):
+        advice += f"lower the end time; what needs short steps is {reason}"
     else:
-        advice += f"lower the end time; what needs short steps is {build.largest_step.why}"
+        advice += "leave solver.max_step out, or lower it"
     return Check(
         name, amplitude, FAILURE_LIMIT, f"of the rms of {wave}", advice, coarse=True, wiring=True
     )

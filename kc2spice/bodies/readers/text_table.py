@@ -55,7 +55,7 @@ MAX_COLUMNS = 200  # largest number of fields of a line
 MAX_LINE_LENGTH = 4000  # largest number of characters of a row or of a line of titles
 COMMENT_LINES = 300  # number of lines above a table in which units are searched
 TITLE_LINES = 40  # number of lines above a table in which titles are searched
-# largest share of a table's rows that may be omitted because they contain a word
+# largest share of a table's rows that may be omitted because they contain a word or are incomplete
 MAX_OMITTED_SHARE = 0.05
 MAX_HEADER_LENGTH = 80  # largest number of characters of a header that an error quotes
 MAX_PHASE_DEGREES = 180.0  # largest magnitude of a phase [degrees]
@@ -74,7 +74,7 @@ class ShortTableError(ValueError):
 
 
 class FaultyRowsError(ValueError):
-    """Error for a table in which too many rows contain words.
+    """Error for a table in which too many rows contain words or are incomplete.
 
     ``advice`` is the hint of the error message.
     """
@@ -367,7 +367,7 @@ def _reject_ambiguous_commas(above: list[str], rows: list[list[str]], width: int
     ------
     AmbiguousCommaError : the table has titles of fewer columns, and contains no decimal point.
     """
-    if any("." in field for row in rows for field in row):
+    if any("." in field for field in chain.from_iterable(rows)):
         return
     for line in above[-TITLE_LINES:]:
         titles = _split_fields(line.strip().lstrip(COMMENT_MARKS), ",")

@@ -30,7 +30,7 @@ from kc2spice.rom.modal_models import compute_resonators, simulate_resonators
 from kc2spice.rom.stability import prove_stability
 from kc2spice.scene.checks import Check, RunEnergyBalance
 from kc2spice.scene.parttype import compute_pin_forces
-from kc2spice.scene.scene_classes import BuiltScene, Part
+from kc2spice.scene.scene_classes import BuiltScene, Part, Scene
 from kc2spice.synthesis.mode_cards import COARSE_WEIGHTS
 
 DEPOLING_ADVICE = "the ceramic depolarises or breaks down; lower the drive, or state another limit"
@@ -185,7 +185,7 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
         default = (
             self._find_reduction_settings(part, build.scene) is None and not part.parameter_ranges
         )
-        key = "rom.order" if part.keys.rom is None and not default else f"{name}.rom.order"
+        key = f"{_locate_reduction_table(part, build.scene)}.order"
         advice = FEWER_STATES_ADVICE.format(states, f"{key} = {order}")
         check = _make_reduction_check(name, worst, LOADED_UNIT, advice)
         more = {key: order, f"{name}.rom.band": list(certificate.band_hz)} if default else {}
@@ -197,8 +197,7 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
     def _advise_reduction(self, part: Part[LinearKeysT], build: BuiltScene) -> str:
         """Return the advice for a body whose reduced model is too inaccurate in its band."""
         model, target = build.model(part, LinearModel), get_reduction_settings(part, build.scene)
-        shared = part.keys.rom is None and "rom" in build.scene.frame.model_fields_set
-        key = "rom" if shared else f"{part.name}.rom"
+        key = _locate_reduction_table(part, build.scene)
         action = f"lower {key}.tolerance"
         if target.order is not None:
             action = f"delete {key}.order, so that {key}.tolerance determines the number of states"
@@ -357,6 +356,12 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
         return RunEnergyBalance(
             entries, float(np.abs(gap).max()), scale, MAX_STORED_SHARE, exact=exactly
         )
+
+
+def _locate_reduction_table(part: Part[LinearKeysT], scene: Scene) -> str:
+    """Return the key of the table with the reduction settings: of the scene or of the body."""
+    shared = part.keys.rom is None and "rom" in scene.frame.model_fields_set
+    return "rom" if shared else f"{part.name}.rom"
 
 
 def _make_reduction_check(name: str, error: float, unit: str, advice: str) -> Check:

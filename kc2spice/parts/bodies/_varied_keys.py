@@ -6,7 +6,7 @@ The module also contains functions that return a part with other values of such 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise, product
 from typing import Any
@@ -148,7 +148,7 @@ def with_values(part: Part[LinearKeysT], values: Mapping[str, Any]) -> Part[Line
     table = part.keys.model_dump(exclude_unset=True)
     table.pop("rom", None)
     for key, value in values.items():
-        steps = _split_key(key)
+        steps = split_key(key)
         holder: Any = table
         try:
             for step, after in pairwise(steps):
@@ -173,7 +173,7 @@ def with_values(part: Part[LinearKeysT], values: Mapping[str, Any]) -> Part[Line
         ) from None
 
 
-def _split_key(key: str) -> list[str | int]:
+def split_key(key: str) -> list[str | int]:
     """Split a dotted key, such as ``layers[1].thickness``, into names and indices."""
     words = re.findall(r"(?<=\[)-?\d+(?=\])|\w+", key)
     return [int(word) if word.lstrip("-").isdigit() else word for word in words]
@@ -241,16 +241,24 @@ def _list_numeric_keys(value: Any, name: str = "") -> Iterator[str]:
             yield from _list_numeric_keys(item, f"{name}[{k}]")
 
 
+def _find_value(keys: Any, path: Sequence[str | int]) -> Any:
+    """Return the value at a path of names and indices, or None if the path does not exist."""
+    for step in path:
+        if isinstance(step, str):
+            keys = dict(keys).get(step) if isinstance(keys, BaseModel | Mapping) else None
+        elif isinstance(keys, list | tuple) and -len(keys) <= step < len(keys):
+            keys = keys[step]
+        else:
+            return None
+    return keys
+
+
 def _has_named_material(keys: Any, key: str) -> bool:
     """Return whether ``key`` lies below a material that the part states only by its name."""
-    for step in _split_key(key):
-        if isinstance(step, int):
-            keys = keys[step] if isinstance(keys, list | tuple) else None
-        else:
-            keys = dict(keys).get(step) if isinstance(keys, BaseModel | Mapping) else None
-        if step == "material":
-            return isinstance(keys, str)
-    return False
+    path = split_key(key)
+    if "material" not in path:
+        return False
+    return isinstance(_find_value(keys, path[: path.index("material") + 1]), str)
 
 
 def _find_missing_entry(keys: Any, key: str) -> tuple[str, int] | None:
@@ -258,17 +266,14 @@ def _find_missing_entry(keys: Any, key: str) -> tuple[str, int] | None:
 
     The result is None if no index in ``key`` exceeds the length of its list.
     """
-    path: list[str | int] = []
-    for step in _split_key(key):
+    path = split_key(key)
+    for depth, step in enumerate(path):
         if isinstance(step, int):
-            if not isinstance(keys, list | tuple):
+            entries = _find_value(keys, path[:depth])
+            if not isinstance(entries, list | tuple):
                 return None
-            if not -len(keys) <= step < len(keys):
-                return join_path(tuple(path)), len(keys)
-            keys = keys[step]
-        else:
-            keys = dict(keys).get(step) if isinstance(keys, BaseModel | Mapping) else None
-        path.append(step)
+            if not -len(entries) <= step < len(entries):
+                return join_path(tuple(path[:depth])), len(entries)
     return None
 
 
@@ -286,7 +291,7 @@ def read_number_key(part: Part, key: str, where: str) -> tuple[float, str]:
     """
     result: Any = part.keys
     unit = ""
-    for step in _split_key(key):
+    for step in split_key(key):
         if isinstance(result, BaseModel) and step in type(result).model_fields:
             unit = find_unit(type(result).model_fields[str(step)]) or ""
             result = getattr(result, str(step))
@@ -297,9 +302,11 @@ def read_number_key(part: Part, key: str, where: str) -> tuple[float, str]:
             result = result[str(step)]
             if group and isinstance(result, Mapping):
                 result = _read_material(part, result, key)
-        elif isinstance(result, list | tuple) and isinstance(step, int):
-            if not -len(result) <= step < len(result):
-                raise _make_non_numeric_key_error(part, key, where)
+        elif (
+            isinstance(result, list | tuple)
+            and isinstance(step, int)
+            and -len(result) <= step < len(result)
+        ):
             result = result[step]
         else:
             raise _make_non_numeric_key_error(part, key, where)

@@ -86,6 +86,11 @@ class SpeakerParameters:
     semi: SemiInductance | None = None
 
     @property
+    def qts(self) -> float:
+        """Total Q factor Qts of the driver at the resonance frequency."""
+        return self.qms * self.qes / (self.qms + self.qes)
+
+    @property
     def rms(self) -> float:
         """Mechanical resistance Rms [N s/m] of the suspension at the resonance frequency."""
         return TWO_PI * self.fs * self.mms / self.qms

@@ -18,7 +18,7 @@ from functools import cached_property
 
 import numpy as np
 
-from kc2spice.core.errors import MAX_CANDIDATES, UsageError
+from kc2spice.core.errors import UsageError, join_first
 
 VALUE_ROUNDING = 0.005  # largest relative rounding error of a value with three significant digits
 # Step of the central differences of logarithms.
@@ -176,13 +176,12 @@ class StatedValues:
         for key in useful:
             if self._count_determined_unknowns(x, *chosen, key) > rank + len(chosen):
                 chosen.append(key)
-        listed = ", ".join(useful[:MAX_CANDIDATES]) + ", …" * (len(useful) > MAX_CANDIDATES)
         missing = x.size - rank
         raise UsageError(
             "these values do not determine the circuit",
             where=self.part,
             got=", ".join(self.stated) or "no value",
-            expected=f"{missing} more value{'s' * (missing > 1)} of {listed}",
+            expected=f"{missing} more value{'s' * (missing > 1)} of {join_first(useful)}",
             hint=f"add {_join_words(chosen[:missing])}",
         )
 
@@ -231,7 +230,7 @@ class StatedValues:
         possible = {
             key: shares for key, shares in redundant.items() if self._has_implied_value(key)
         }
-        suspects = {key for key in possible if key.partition("[")[0] in self.suspects}
+        suspects = set(filter(self._is_suspect, possible))
         key = max(suspects or possible or redundant, key=self._compute_deviation)
         shares = {name: share for name, share in redundant[key].items() if name in possible}
         shares = shares or redundant[key]
@@ -245,6 +244,10 @@ class StatedValues:
         value = math.exp(others._compute_logarithm(key, logarithms))
         misfits = (others._is_contradicted_at(name, logarithms) for name in others.stated)
         return SMALLEST_VALUE < value < 1 / SMALLEST_VALUE and not any(misfits)
+
+    def _is_suspect(self, key: str) -> bool:
+        """Return whether the value, or the list that contains the value, is a suspect."""
+        return key.partition("[")[0] in self.suspects
 
     def _is_contradicted_at(self, key: str, x: np.ndarray) -> bool:
         """Return whether a stated value differs from the value of a circuit."""
@@ -319,7 +322,7 @@ class StatedValues:
         }
         redundant = min(changes, key=changes.__getitem__)
         hint = f"delete {redundant}, which follows from the other values"
-        if key.partition("[")[0] in self.suspects:
+        if self._is_suspect(key):
             _, _, value = texts[key].partition(" = ")
             quoted = f'"{value}"' if " " in value else value  # a value with a unit is a string
             hint = f"write {key} = {quoted}, or delete {key}"

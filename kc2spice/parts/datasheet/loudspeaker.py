@@ -176,9 +176,8 @@ stop = "1 kHz"
         """Yield an error for each invalid key; warn about an unusual Q factor."""
         yield from super().problems(part, scene)
         driver = self._find_parameters(part, scene)
-        qts = driver.qms * driver.qes / (driver.qms + driver.qes)
         hint = "are the data-sheet values and their units right?"
-        yield from check_usual_range(f"{part.name}.qts", qts, USUAL_QTS, hint)
+        yield from check_usual_range(f"{part.name}.qts", driver.qts, USUAL_QTS, hint)
 
     def solve_parameters(self, part: Part[LoudspeakerKeys]) -> SpeakerParameters:
         """Compute the driver parameters from the data-sheet keys of the part."""
@@ -387,9 +386,8 @@ stop = "1 kHz"
     def notes(self, part: Part[LoudspeakerKeys], scene: Scene) -> Iterator[str | NeglectedEffect]:
         """Yield the assumptions of the model and the effects that it neglects."""
         driver = self._find_parameters(part, scene)
-        qts = driver.qms * driver.qes / (driver.qms + driver.qes)
         peak = driver.re * (1 + driver.qms / driver.qes)
-        yield f"fs {driver.fs:.4g} Hz, Qts {qts:.4g}, impedance at fs {peak:.4g} Ohm"
+        yield f"fs {driver.fs:.4g} Hz, Qts {driver.qts:.4g}, impedance at fs {peak:.4g} Ohm"
         yield NeglectedEffect(
             "large strokes", "Bl and compliance are constant", "see part voice_coil"
         )

@@ -275,14 +275,12 @@ def find_loaded_body(part: Part[PortLoadsKeys], scene: DeclaredScene) -> Part[Pi
         has no contact rings.
     """
     stacks = [other.name for other in scene.list_parts("piezo_stack")]
+    hint = 'add the table [kick], which defines a piezo_stack, and write  of = "kick"'
+    if stacks:
+        hint = f'write  of = "{stacks[0]}"'
     if part.keys.of is not None:
         body = scene.get_part(part.keys.of, f"{part.name}.of")
         if not isinstance(body.keys, PiezoStackKeys):
-            hint = (
-                f'write  of = "{stacks[0]}"'
-                if stacks
-                else 'add the table [kick], which defines a piezo_stack, and write  of = "kick"'
-            )
             raise part.wrong(
                 "of",
                 "this part has no rings to load",
@@ -299,9 +297,7 @@ def find_loaded_body(part: Part[PortLoadsKeys], scene: DeclaredScene) -> Part[Pi
             f"{part.name} does not state which piezo_stack it loads",
             got=got,
             expected="the name of a part of type piezo_stack",
-            hint=f'write  of = "{stacks[0]}"'
-            if stacks
-            else 'add the table [kick], which defines a piezo_stack, and write  of = "kick"',
+            hint=hint,
         )
     return result[0].with_schema(PiezoStackKeys)
 

@@ -263,8 +263,9 @@ def parse_range(name: str, text: str, keys: Mapping[str, KeyDescription]) -> Val
         # a list may contain SI numbers beside values with a unit on purpose
         elif problem := _find_unequal_unit_use(words, text, where, key.unit):
             warnings.warn(
-                f"{where}: {problem.message}, and a number without a unit is in "
-                f"{key.unit or 'plain numbers'}; {problem.hint} if all values have the same unit",
+                f"{where}: {problem.message}, and a number without a unit is "
+                f"{f'in {key.unit}' if key.unit else 'not in percent'}; {problem.hint} if all "
+                "values have the same unit",
                 stacklevel=2,
             )
     if kind in ("list", "value"):

@@ -162,14 +162,13 @@ def make_sweep(
         else:
             fixed.append(text)
     if sets and not ranges:
-        name, _, value = sets[0].partition("=")
+        name = sets[0].partition("=")[0].strip()
         raise UsageError(
             "no option --set contains a range, so no key is swept",
             where="sweep",
             got=" ".join(f"--set {shlex.quote(text)}" for text in sets),
             expected=f"--set KEY=RANGE, where RANGE is {RANGE_GRAMMAR}",
-            hint=f"write --set {name.strip()}=FIRST:LAST:POINTS in place of "
-            f"--set {shlex.quote(sets[0])}",
+            hint=f"write --set {name}=FIRST:LAST:POINTS in place of --set {shlex.quote(sets[0])}",
         )
     # a swept key may also occur in a TOML file of fixed keys
     fixed = [text for text in fixed if text.partition("=")[0].strip() not in ranges]
@@ -273,25 +272,22 @@ def load_named_sweep(name: str, sets: Sequence[str] = (), **asked: Any) -> Sweep
     """
     _require_distinct_keys(sets)
     texts, study = expand_overrides(sets), _find_study(name)
-    if study is None:
-        result = make_sweep(read_scene_text(name), texts, **asked)
-        _require_effective_options(result.plan, asked)
-        return result
-    ranges = {
-        key: [f"{key}={v if isinstance(v, str) else format_toml(v)}"]
-        for key, v in study.ranges.items()
-    }
-    typed = dict[str, list[str]]()
-    for text in texts:
-        typed.setdefault(text.partition("=")[0].strip(), []).append(text)
-    ranges |= typed
-    settings = study.model_dump(include={"zipped", "latin", "seed", "metrics"})
-    selected = settings | {
-        key: value for key, value in asked.items() if value or key not in settings
-    }
-    result = make_sweep(
-        read_scene_text(study.scene), tuple(chain.from_iterable(ranges.values())), **selected
-    )
+    scene, selected = name, asked
+    if study is not None:
+        ranges = {
+            key: [f"{key}={v if isinstance(v, str) else format_toml(v)}"]
+            for key, v in study.ranges.items()
+        }
+        typed = dict[str, list[str]]()
+        for text in texts:
+            typed.setdefault(text.partition("=")[0].strip(), []).append(text)
+        texts = list(chain.from_iterable((ranges | typed).values()))
+        settings = study.model_dump(include={"zipped", "latin", "seed", "metrics"})
+        scene = study.scene
+        selected = settings | {
+            key: value for key, value in asked.items() if value or key not in settings
+        }
+    result = make_sweep(read_scene_text(scene), texts, **selected)
     _require_effective_options(result.plan, asked)
     return result
 
@@ -301,15 +297,16 @@ def _require_distinct_keys(sets: Sequence[str]) -> None:
     texts = dict[str, str]()
     for text in sets:
         name, equals, _ = text.partition("=")
-        first = texts.setdefault(name.strip(), text)
-        if equals and first is not text:
+        name = name.strip()
+        if equals and name in texts:
             raise UsageError(
                 "two options --set state the same key",
                 where="sweep",
-                got=f"--set {shlex.quote(first)} and --set {shlex.quote(text)}",
+                got=f"--set {shlex.quote(texts[name])} and --set {shlex.quote(text)}",
                 expected="one --set for each key",
-                hint=f"delete one of the options --set {name.strip()}=…",
+                hint=f"delete one of the options --set {name}=…",
             )
+        texts[name] = text
 
 
 def _require_effective_options(plan: SweepPoints, asked: Mapping[str, Any]) -> None:
