@@ -197,12 +197,12 @@ def test_a_constant_in_another_unit_is_refused_with_its_value_in_si(case):
 
 
 def test_a_coupling_factor_near_one_is_refused():
-    """Without the permittivity of the strain, k^2 = d^2 C / eps^T is nearly 1."""
+    """The coupling factor k, with k^2 = d^2 C / eps^T, is nearly 1 for eps^S = 3 eps_0."""
     table = PZT | {"permittivity": {"eps11": 3.0, "eps33": 3.0}}
     with pytest.raises(UsageError, match="too large for this permittivity") as caught:
         find_material(table)
-    C, e = find_material(PZT).C, find_material(PZT).e
-    coupled = e @ np.linalg.solve(C, e.T)
+    ceramic = find_material(PZT)
+    coupled = ceramic.e @ np.linalg.solve(ceramic.C, ceramic.e.T)
     square = np.diag(coupled) / (np.diag(coupled) + 3.0 * epsilon_0)
     assert f"{np.sqrt(square.max()):.4g}" in caught.value.got
     with pytest.raises(UsageError) as caught:

@@ -5,6 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from messages import fails, rows, rows_of_error
+from small_scenes import DIVIDER
 from support import (
     Check,
     LinearModel,
@@ -34,18 +36,6 @@ part = "source"
 type = "ac"
 stop = "1 kHz"
 """
-DIVIDER = """[battery]
-part = "source"
-dc = "10 V"
-[load]
-part = "resistor"
-resistance = "1 kOhm"
-pins = { a = "battery.out" }
-[analysis]
-type = "op"
-[probes.current]
-of = "load.i"
-"""
 RELAY = {"part": "relay", "resistance": "70 Ohm", "voltage": "5 V", "operate_time": "10 ms",
          "pins": {"plus": "d.out", "no": "d.out", "com": "gnd"}}  # fmt: skip
 DRIVE = {"part": "source", "dc": "5 V"}
@@ -54,13 +44,6 @@ CHAIN = {
     "K": 2 * np.eye(3) - np.eye(3, k=1) - np.eye(3, k=-1),
     "B": np.eye(3)[:, :1],
 }
-
-
-def rows(text):
-    """First line of a message, and the rows below it by their names."""
-    head, *below = text.splitlines()
-    pairs = (line.strip().partition(":") for line in below)
-    return {"head": head} | {name: value.strip() for name, _, value in pairs}
 
 
 @pytest.mark.parametrize(
@@ -90,7 +73,7 @@ def test_the_port_of_a_mesh_that_cannot_be_read_is_at_a_point(cli):
 def test_a_misspelt_metric_of_a_sweep_leaves_no_files(cli):
     swept = ("duffing", "--set", "mass.mass=1 g,2 g", "--workers", "1")
     done = cli("sweep", *swept, "--metric", "mass_peak")
-    found = rows(done.stderr[done.stderr.index("kc2spice: error") :])
+    found = rows_of_error(done.stderr)
     assert done.exit_code == 2
     assert found["expected"].count(",") <= 5
     name = re.fullmatch(r"did you mean '(.*)'\?", found["next"])[1]
@@ -101,7 +84,7 @@ def test_a_misspelt_metric_of_a_sweep_leaves_no_files(cli):
 @pytest.mark.slow
 def test_a_sphere_beyond_the_table_names_the_voltage_and_leaves_no_files(cli):
     done = cli("run", "kick_and_catch", "--set", "kick.drive.voltage=300")
-    found = rows(done.stderr[done.stderr.index("kc2spice: error") :])
+    found = rows_of_error(done.stderr)
     assert done.exit_code == 5
     assert found["expected"].startswith("heights from -2.5 mm to 7.5 mm")
     assert not list(Path().glob("kick_and_catch*"))
@@ -312,9 +295,7 @@ def test_names_of_other_programs(cli):
 )
 def test_units_outside_of_the_si_are_converted(typed, unit, advice):
     """Values of NIST SP 811, appendix B."""
-    with pytest.raises(kc.errors.UsageError) as caught:
-        convert_quantity(typed, unit)
-    assert caught.value.hint == f'write  "{advice}"'
+    assert fails(convert_quantity, typed, unit).hint == f'write  "{advice}"'
     convert_quantity(advice, unit)
 
 

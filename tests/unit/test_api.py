@@ -248,7 +248,7 @@ def test_a_driver_that_replaces_a_source_is_not_compared_with_its_keys(tmp_path)
 
 
 def test_a_small_deck_without_its_source_gets_the_card_that_measures_the_current(tmp_path):
-    """A scene with two results is not called another scene, and the advised card works."""
+    """The error does not state that the deck is of another scene, and the advised card works."""
     scene = {
         "drive": {"part": "source", "dc": "1 V", "pins": {"out": "load.a"}},
         "load": {"part": "resistor", "resistance": "1 kOhm"},

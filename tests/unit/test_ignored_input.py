@@ -6,22 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from messages import rows
+from small_scenes import DIVIDER
 from support import load_scene, read_number_key
 
 import kc2spice as kc
 
-DIVIDER = """[battery]
-part = "source"
-dc = "10 V"
-[load]
-part = "resistor"
-resistance = "1 kOhm"
-pins = { a = "battery.out" }
-[analysis]
-type = "op"
-[probes.current_a]
-of = "load.i"
-"""
 AMPLIFIED = """[drive]
 part = "source"
 pulse = { high = "1 V", start = "1 us", width = "50 us", edge = "1 us" }
@@ -44,21 +34,14 @@ R2 mid out 20
 """
 
 
-def rows(text):
-    """First line of a message without warnings, and the rows below it by their names."""
-    lines = [line for line in text.splitlines() if "warning:" not in line]
-    pairs = (line.strip().partition(":") for line in lines[1:])
-    return {"head": lines[0]} | {name: value.strip() for name, _, value in pairs}
-
-
 @pytest.fixture
 def sweep(cli):
     """Sweeps the load of a battery: the exit code, the message, and the rows of the table."""
     Path("own.toml").write_text(DIVIDER)
 
-    def run(*words):
-        done = cli("sweep", "own.toml", "-q", "--workers", "1", "--out", f"out{len(words)}", *words)
-        table = Path(f"out{len(words)}/sweep.csv")
+    def run(out, *words):
+        done = cli("sweep", "own.toml", "-q", "--workers", "1", "--out", out, *words)
+        table = Path(out, "sweep.csv")
         found = list(csv.DictReader(table.open())) if done.exit_code == 0 else []
         return done.exit_code, done.stderr, found
 
@@ -68,7 +51,7 @@ def sweep(cli):
 # --- sweeps -------------------------------------------------------------------------------------
 
 
-def test_a_sweep_of_a_part_number(cli):
+def test_a_sweep_accepts_a_part_number(cli):
     done = cli("sweep", "7BB-20-6", "--set", "device.c_low=9e-9:12e-9:3", "--dry-run", "--json")
     assert done.exit_code == 0, done.stderr
     assert '"points": 3' in done.stdout
@@ -94,11 +77,11 @@ def test_a_range_has_a_unit_at_both_ends_or_at_none(cli, text, correct):
 
 
 def test_a_corrected_range_and_a_range_from_zero_have_the_typed_values(sweep):
-    code, _, table = sweep("--set", "load.resistance=1 kOhm:3 kOhm:2")
+    code, _, table = sweep("corrected", "--set", "load.resistance=1 kOhm:3 kOhm:2")
     assert code == 0
     # the current is 10 V divided by 1 and 3 kOhm
-    assert [float(row["current_a"]) for row in table] == pytest.approx([10e-3, 10e-3 / 3])
-    code, error, table = sweep("--set", "battery.dc=0:2 V:3", "-q")
+    assert [float(row["current"]) for row in table] == pytest.approx([10e-3, 10e-3 / 3])
+    code, error, table = sweep("from_zero", "--set", "battery.dc=0:2 V:3")
     assert (code, error) == (0, "")
     assert [float(row["battery.dc"]) for row in table] == [0.0, 1.0, 2.0]
 
@@ -140,7 +123,7 @@ def test_a_list_with_si_numbers_and_units_causes_a_warning(cli):
          "lower the standard deviation: write normal(1,0.1,20)"),
     ],
 )  # fmt: skip
-def test_a_mistake_in_the_options_of_a_sweep(cli, words, head, advice):
+def test_an_error_about_the_options_of_a_sweep_advises_a_correction(cli, words, head, advice):
     Path("own.toml").write_text(DIVIDER)
     done = cli("sweep", "own.toml", "--dry-run", *shlex.split(words))
     found = rows(done.stderr)
@@ -182,7 +165,7 @@ def test_a_replaced_override_causes_a_warning():
          "kc2spice export --rom x.npz"),
     ],
 )  # fmt: skip
-def test_an_option_without_effect_on_an_export(cli, words, head, advice):
+def test_an_option_without_effect_on_an_export_is_an_error(cli, words, head, advice):
     done = cli("export", *words.split())
     found = rows(done.stderr)
     assert done.exit_code == 2
@@ -230,7 +213,7 @@ def test_a_netlist_in_upper_case_causes_no_warning(deck):
     assert (done.exit_code, done.stderr.count("milli")) == (0, 0), done.stderr
 
 
-def test_a_mistyped_node_names_the_similar_node(deck):
+def test_an_error_about_a_mistyped_node_names_the_similar_node(deck):
     Path("amp.lib").write_text(AMPLIFIER.replace("in mid 5", "in midd 5"))
     found = rows(deck("export", "own.toml").stderr)
     assert found["next"].startswith("did you mean 'mid'?")
@@ -241,7 +224,7 @@ def test_a_mistyped_node_names_the_similar_node(deck):
     assert deck("export", "own.toml").exit_code == 0
 
 
-def test_a_library_a_misspelt_option_and_a_deck_without_save(cli):
+def test_errors_about_an_unsuitable_deck_advise_a_correction(cli):
     scene = "newtons_cradle"
     assert cli("export", scene, "--out", "d", "-q").exit_code == 0
     found = rows(cli("run", scene, "--deck", "d/contact.lib").stderr)
@@ -302,7 +285,7 @@ def fit(cli):
          "write for example  layers[0].thickness=0.00018:0.00022"),
     ],
 )  # fmt: skip
-def test_a_mistake_in_the_option_vary(fit, vary, head, advice):
+def test_an_error_about_the_option_vary_advises_an_existing_key(fit, vary, head, advice):
     found = fit("buzzer_7bb_20_6:disc", vary)
     assert head in found["head"]
     assert found["next"] == advice
@@ -312,7 +295,7 @@ def test_a_mistake_in_the_option_vary(fit, vary, head, advice):
     assert value > 0
 
 
-def test_a_source_has_no_impedance_to_fit(fit):
+def test_a_fit_of_a_source_advises_a_part_with_an_impedance(fit):
     found = fit("buzzer_7bb_20_6:drive", "ac")
     assert "a source has no impedance that can be fitted" in found["head"]
     assert found["next"] == "fit the part disc in place of drive"

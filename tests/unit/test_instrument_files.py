@@ -527,7 +527,7 @@ def test_rows_of_one_word_are_counted(tmp_path, word):
     assert len(read_measured(written(tmp_path, "b.csv", HEAD + "\n".join(kept))).f) == len(kept)
 
 
-def test_decimal_commas_beside_separating_commas(tmp_path):
+def test_decimal_commas_beside_separating_commas_are_refused(tmp_path):
     text = rows(F, Z.real, Z.imag)
     with pytest.raises(REFUSED) as caught:
         read_measured(written(tmp_path, "a.csv", HEAD + text.replace(".", ",")))
@@ -554,7 +554,7 @@ def test_a_touchstone_file_needs_an_option_line(tmp_path):
 
 
 @pytest.mark.parametrize(("name", "columns", "width"), [("a.s1p", 2, 3), ("a.s2p", 5, 9)])
-def test_a_touchstone_file_with_missing_columns(tmp_path, name, columns, width):
+def test_a_touchstone_file_with_missing_columns_is_refused(tmp_path, name, columns, width):
     text = rows(F, *[S.real] * (columns - 1), separator=" ")
     with pytest.raises(REFUSED) as caught:
         read_measured(written(tmp_path, name, "# Hz S RI R 50\n" + text))
@@ -563,7 +563,7 @@ def test_a_touchstone_file_with_missing_columns(tmp_path, name, columns, width):
 
 
 def nearly_open(form, head):
-    """A resonator whose reflection is so close to 1 that real and imaginary parts are small."""
+    """A resonator whose reflection is so close to 1 that RI can be taken for MA, or rad for deg."""
     f = np.linspace(2e3, 12e3, 300)
     w = 2j * np.pi * f
     admittance = 8e-9 * w + 1 / (500 + 0.6 * w + 1 / (1.05e-9 * w))

@@ -5,43 +5,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from messages import rows
+from small_scenes import DISC, DIVIDER, LAMP, RESISTOR
 from support import Check, format_summary, parse_toml, require_passed
 
 import kc2spice as kc
 
-BUZZER = """[disc]
-part = "disc"
-[[disc.layers]]
-material = "brass"
-diameter = "20 mm"
-thickness = "0.2 mm"
-[[disc.layers]]
-material = "PZT-5A"
-diameter = "14 mm"
-thickness = "0.2 mm"
-[analysis]
-type = "ac"
-stop = "10 kHz"
-"""
-LAMP = {
-    "name": "lamp",
-    "drive": {"part": "source", "dc": "12 V"},
-    "lamp": {"part": "resistor", "resistance": "6 Ohm", "pins": {"a": "drive.out"}},
-    "analysis": {"type": "op"},
-    "probes": {"current_a": {"of": "lamp.i"}},
-}
-DIVIDER = """[battery]
-part = "source"
-dc = "10 V"
-[load]
-part = "resistor"
-resistance = "1 kOhm"
-pins = { a = "battery.out" }
-[analysis]
-type = "op"
-[probes.current]
-of = "load.i"
-"""
+BUZZER = DISC + '[analysis]\ntype = "ac"\nstop = "10 kHz"\n'
 MESH = Path(__file__).parents[1] / "data" / "coarse_unimorph.msh"
 HEAT = """gravity = 0
 [m]
@@ -75,13 +45,6 @@ pins = { out = "bar.tip" }
 type = "ac"
 stop = "1 kHz"
 """
-
-
-def rows(text):
-    """First line of a message, and the rows below it by their names."""
-    head, *below = text.splitlines() or [""]
-    pairs = (line.strip().partition(":") for line in below)
-    return {"head": head} | {name: value.strip() for name, _, value in pairs}
 
 
 @pytest.mark.parametrize(
@@ -505,6 +468,14 @@ def test_an_ac_analysis_of_springs_and_masses_names_a_source_to_add(cli):
     kc.load_scene({"name": "own", **parse_toml(Path("own.toml").read_text() + drive)})
 
 
+def test_the_source_to_add_gets_an_unused_name():
+    names = ("drive", "ac_drive", "drive_2")
+    masses = {name: {"part": "mass", "mass": "1 g"} for name in names}
+    with pytest.raises(kc.errors.UsageError, match="no source") as caught:
+        kc.load_scene({"name": "own", **masses, "analysis": {"type": "ac", "stop": "1 kHz"}})
+    assert 'add [drive_3] with part = "source"' in caught.value.hint
+
+
 def test_an_export_of_matrices_names_the_reduction(cli):
     np.savez("own.npz", M=np.eye(2), K=np.eye(2), B=np.ones((2, 1)))
     found = rows(cli("export", "--rom", "own.npz").stderr)
@@ -635,15 +606,21 @@ def test_an_unknown_group_is_located_in_the_scene(cli, name, scene, line, key, w
     assert part in kc.build(f"{name}.toml")
 
 
-def test_the_resistance_of_the_last_layer_is_located(cli):
+def test_an_error_about_the_resistance_of_the_last_layer_names_its_key(cli):
     Path("heat.toml").write_text(HEAT.replace('area = "25 mm2"', 'area = "25 mm2", resistance = 1'))
     assert "m.layers[0].resistance" in rows(cli("run", "heat.toml").stderr)["head"]
 
 
-@pytest.mark.parametrize("typed", ["0", "x", "2"])
-def test_an_example_of_an_option_is_its_default(cli, typed):
-    hint = rows(cli("bench", "impact", "--error", typed).stderr)["next"]
-    assert hint == "for example --error 0.0001" or hint == "for 2 %, write --error 0.02"
+@pytest.mark.parametrize(
+    ("typed", "advice"),
+    [
+        ("0", "for example --error 0.0001"),
+        ("x", "for example --error 0.0001"),
+        ("2", "for 2 %, write --error 0.02"),
+    ],
+)
+def test_the_example_of_an_option_is_its_default_or_the_typed_percentage(cli, typed, advice):
+    assert rows(cli("bench", "impact", "--error", typed).stderr)["next"] == advice
 
 
 def test_the_directory_of_another_sweep_is_described_without_hashes(cli):
@@ -675,7 +652,7 @@ def test_a_probe_window_without_extent_is_rejected_and_the_advice_works(cli, tmp
     assert json.loads(done.stdout)["metrics"]["swing"] == pytest.approx(2.0, rel=2e-3)
 
 
-def test_a_port_at_a_column_of_a_missing_matrix(cli):
+def test_a_port_at_a_column_of_a_missing_matrix_is_an_error(cli):
     K = np.diag([2.0, 2.0, 1.0]) - np.diag([1.0, 1.0], 1) - np.diag([1.0, 1.0], -1)
     np.savez("bar.npz", K=1e6 * K, M=np.eye(3))
     Path("bar.toml").write_text('[[ports]]\nname = "tip"\nkind = "mechanical"\ncolumn = 1\n')
@@ -693,19 +670,9 @@ def test_a_check_without_a_finite_value_is_printed():
     assert "inf" in str(text)
 
 
-def test_a_transient_card_without_an_end(cli):
-    scene = parse_toml("""
-        [drive]
-        part = "source"
-        dc = "1 V"
-        pins = { out = "load.a" }
-        [load]
-        part = "resistor"
-        resistance = "1 kOhm"
-        [analysis]
-        type = "transient"
-        stop = "2 ms"
-    """)
+def test_the_advised_transient_card_has_an_end(cli):
+    transient = 'type = "transient"\nstop = "2 ms"'
+    scene = parse_toml(RESISTOR.replace('type = "op"', transient))
     deck = kc.deck(scene)
     text = deck.files[deck.main_file_name]
     card = next(line for line in text.splitlines() if line.startswith(".tran"))
@@ -718,8 +685,8 @@ def test_a_transient_card_without_an_end(cli):
     assert kc.run(scene, deck=path).metrics is not None
 
 
-def test_a_colon_inside_an_inline_table(cli):
-    """The proposed line is valid, and the scene then has both values."""
+def test_colons_between_key_and_value_of_an_inline_table_are_replaced(cli):
+    """Only colons between key and value are replaced, not the colon of a text."""
     text = BUZZER.replace("[analysis]", "[disc.damping]\nX\n[analysis]")
     line = 'pair = { first: "a:b", second : 50 }'
     Path("own.toml").write_text(text.replace("X", line))

@@ -1,19 +1,14 @@
-"""Arguments of Python calls: wrong ones raise errors whose advice works, none is ignored."""
+"""Wrong arguments of Python calls raise errors whose advice works, and none is ignored."""
 
 from pathlib import Path
 
 import numpy as np
 import pytest
+from messages import fails
+from small_scenes import LAMP
 
 import kc2spice as kc
 
-LAMP = {
-    "name": "lamp",
-    "drive": {"part": "source", "dc": "12 V"},
-    "lamp": {"part": "resistor", "resistance": "6 Ohm", "pins": {"a": "drive.out"}},
-    "analysis": {"type": "op"},
-    "probes": {"current_a": {"of": "lamp.i"}},
-}
 LOOP = {
     "name": "loop",
     "brain": {"part": "controller", "inputs": ["level"], "units": {"level": "V"}, "period": "1 ms",
@@ -41,19 +36,9 @@ def measured(tmp_path, monkeypatch):
     f = np.linspace(4e3, 9e3, 60)
     model = kc.build(disc(45.0))["disc"].select(["anode"])
     z = 1 / (2j * np.pi * f * model.transfer(f)[:, 0, 0])
-    np.savetxt(
-        "disc.csv",
-        np.column_stack([f, z.real, z.imag]),
-        delimiter=",",
-        header="frequency_hz,real_ohm,imag_ohm",
-    )
-    return np.column_stack([f, z.real, z.imag])
-
-
-def fails(call, *args, **names):
-    with pytest.raises(kc.errors.UsageError) as caught:
-        call(*args, **names)
-    return caught.value
+    table = np.column_stack([f, z.real, z.imag])
+    np.savetxt("disc.csv", table, delimiter=",", header="frequency_hz,real_ohm,imag_ohm")
+    return table
 
 
 @pytest.mark.parametrize("workers", [1.5, 0, -1, True, "2", float("nan")])
@@ -66,7 +51,7 @@ def test_the_number_of_workers_is_a_whole_number(workers):
     assert len(kc.sweep(LAMP, {KEY: [3]}, workers=np.int64(1))) == 1
 
 
-def test_an_executor_and_a_progress_function_of_a_wrong_type():
+def test_an_executor_or_a_progress_function_of_a_wrong_type_is_an_error():
     assert fails(kc.sweep, LAMP, {KEY: [3]}, executor=4).where == "executor"
     assert fails(kc.sweep, LAMP, {KEY: [3]}, progress=True).where == "progress"
 
@@ -76,7 +61,7 @@ def test_an_executor_and_a_progress_function_of_a_wrong_type():
     [("3:6:2", [4, 2]), ("log:3:12:3", [4, 2, 1]), ("3,6", [4, 2]), ("3 Ohm:6 Ohm:2", [4, 2]),
      ("6 Ohm", [2])],
 )  # fmt: skip
-def test_a_range_as_text_is_written_as_a_list(text, currents):
+def test_the_advice_for_a_range_as_text_is_a_list_of_its_values(text, currents):
     hint = fails(kc.sweep, LAMP, {KEY: text}).hint
     values = eval(
         hint[hint.index(" ") :].split(" for ")[0].split("such as ")[-1].strip(), {"numpy": np}
@@ -98,7 +83,7 @@ def test_a_table_is_written_in_the_format_of_its_suffix(tmp_path, monkeypatch):
     assert fails(table.save, 3).got == "3"
 
 
-def test_a_table_in_parquet(tmp_path):
+def test_a_table_saved_in_parquet_has_the_same_values(tmp_path):
     pandas = pytest.importorskip("pandas")
     pytest.importorskip("pyarrow")
     path = kc.sweep(LAMP, {KEY: [3, 6]}).save(tmp_path / "lamp.parquet")
@@ -119,7 +104,7 @@ def test_a_library_is_written_into_a_new_folder(tmp_path):
 
 
 @pytest.mark.parametrize("dialect", [None, 3, ["ngspice"]])
-def test_a_dialect_that_is_not_a_string(tmp_path, dialect):
+def test_a_dialect_that_is_not_a_string_is_an_error(tmp_path, dialect):
     error = fails(kc.export, LAMP, tmp_path / "out", dialect=dialect)
     assert error.where == "dialect"
     assert error.got == repr(dialect)
@@ -127,7 +112,7 @@ def test_a_dialect_that_is_not_a_string(tmp_path, dialect):
     kc.export(LAMP, tmp_path / "out", dialect="ngspice")
 
 
-def test_a_function_of_an_unknown_controller():
+def test_a_function_of_an_unknown_controller_is_an_error():
     error = fails(kc.run, LAMP, functions={"pid": lambda time, inputs: 0.0})
     assert error.where == "functions"
     assert error.hint == "leave out functions"
@@ -139,7 +124,7 @@ def test_a_function_of_an_unknown_controller():
     assert result.metrics["last_v"] == pytest.approx(2.0, rel=1e-6)
 
 
-def test_a_deck_object_is_simulated_without_a_scene(tmp_path):
+def test_a_deck_object_in_a_run_is_an_error_that_advises_simulate(tmp_path):
     deck = kc.deck(LAMP)
     error = fails(kc.run, LAMP, deck=deck)
     assert error.hint == "to simulate a deck without a file, write kc.simulate(DECK)"
@@ -197,7 +182,7 @@ def test_a_binary_file_is_not_suggested_in_place_of_a_toml_file(tmp_path, monkey
     assert kc.read_model("ok.npz", sidecar="ok.toml").ports[0].name == "tip"
 
 
-def test_a_scene_is_not_a_library(tmp_path, monkeypatch):
+def test_a_scene_read_as_a_library_is_an_error(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("lamp.toml").write_text('title = "lamp on a source"\n')
     error = fails(kc.read_lib, "lamp.toml")

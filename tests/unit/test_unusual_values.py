@@ -6,16 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from messages import fails
+from small_scenes import RESISTOR, SPEAKER
 
 import kc2spice as kc
 
-WOOFER = {"part": "loudspeaker", "fs": "37 Hz", "re": "6 Ohm", "qms": 5.6, "mms": "109.5 g",
-          "bl": "25.6 N/A", "pins": {"plus": "amp.out"}}  # fmt: skip
-SPEAKER = {
-    "amp": {"part": "source", "ac": "2 V"},
-    "woofer": WOOFER,
-    "analysis": {"type": "ac", "start": "10 Hz", "stop": "1 kHz"},
-}
 OSCILLATOR = {
     "spring": {"part": "spring", "stiffness": "1 kN/m", "pins": {"a": "mass.a"}},
     "mass": {"part": "mass", "mass": "25 mg"},
@@ -76,7 +71,7 @@ def load(tables, **overrides):
         (OSCILLATOR, "mass.mass", 25, "25 g"),
     ],
 )
-def test_a_number_without_its_unit(tables, key, value, meant):
+def test_a_key_whose_number_lacks_its_unit_causes_a_warning(tables, key, value, meant):
     found = [text for text in load(tables, **{key: value}) if text.startswith(key)]
     assert len(found) == 1
     assert f'did you mean "{meant}"?' in found[0]
@@ -91,7 +86,7 @@ def test_a_number_without_its_unit(tables, key, value, meant):
         ("inductor", "inductance", 220, "220 mH"),
     ],
 )
-def test_an_element_without_its_unit(part, key, value, meant):
+def test_an_element_whose_value_lacks_its_unit_causes_a_warning(part, key, value, meant):
     tables = {
         "battery": {"part": "source", "dc": "1 V"},
         "load": {"part": part, key: value, "pins": {"a": "battery.out"}},
@@ -103,12 +98,12 @@ def test_an_element_without_its_unit(part, key, value, meant):
     assert not load(tables, checks__plausible="off")
 
 
-def test_a_large_stiffness():
+def test_a_large_stiffness_causes_a_warning():
     assert "spring.stiffness: 1e+12 N/m" in load(OSCILLATOR, spring__stiffness=1e12)[0]
     assert not load(OSCILLATOR, spring__stiffness="1 GN/m")
 
 
-def test_an_unusual_total_quality():
+def test_an_unusual_total_q_factor_causes_a_warning():
     """qts = qms qes / (qms + qes) with qes = 2 pi fs mms re / bl^2, computed by hand."""
     qes = 2 * math.pi * 37 * 109.5 * 6 / 25.6**2
     (found,) = (text for text in load(SPEAKER, woofer__mms=109.5) if "woofer.qts" in text)
@@ -116,7 +111,7 @@ def test_an_unusual_total_quality():
     assert not load(SPEAKER)
 
 
-def test_a_temperature_at_which_everything_melts():
+def test_a_temperature_at_which_solids_melt_causes_a_warning():
     """20 kW through 0.3 mm of silicon and a film of 1 kW/(m2 K) on 25 mm2: above 800 kK."""
     film = 20e3 / (1e3 * 25e-6)
     found, result = list_warnings(kc.run, HEATER, overrides={"load.dc": "20 kW"})
@@ -127,7 +122,7 @@ def test_a_temperature_at_which_everything_melts():
     assert not any("usual" in text for text in list_warnings(kc.run, HEATER)[0])
 
 
-def test_a_mass_that_moves_faster_than_sound():
+def test_a_mass_that_moves_faster_than_sound_causes_warnings():
     """A step F on a mass without damping: x = 2 F / k and v = F / sqrt(k m)."""
     found, result = list_warnings(kc.run, OSCILLATOR, overrides={"push.pulse.high": "10 kN"})
     sizes = {check.unit: check.value for check in result.checks if "usual" in check.name}
@@ -148,7 +143,7 @@ def test_amplitudes_of_an_ac_analysis_are_not_checked():
     assert not found
 
 
-def test_gravity_that_acts_on_no_part():
+def test_gravity_that_acts_on_no_part_causes_a_warning():
     (found,) = load(OSCILLATOR, gravity=9.81)
     assert "`gravity` has no effect" in found
     assert found.endswith("write  weight = true  in [mass]")
@@ -159,7 +154,7 @@ def test_gravity_that_acts_on_no_part():
     assert found.endswith("delete the key")
 
 
-def test_gravity_in_another_unit():
+def test_gravity_in_another_unit_causes_a_warning():
     (found,) = load(OSCILLATOR, gravity=9810, mass__weight=True)
     assert 'did you mean "9810 mm/s2"?' in found
     assert not load(OSCILLATOR, gravity="9810 mm/s2", mass__weight=True)
@@ -169,7 +164,7 @@ def test_gravity_in_another_unit():
     ("key", "value"),
     [("push.pulse.start", "1 s"), ("push.pulse.start", "3 ms"), ("analysis.stop", "0.5 us")],
 )
-def test_a_pulse_after_the_end_of_the_run(key, value):
+def test_a_pulse_after_the_end_of_the_run_causes_a_warning(key, value):
     (found,) = load(OSCILLATOR, **{key: value})
     assert found.startswith("push: the waveform begins at")
     assert "this source stays constant" in found
@@ -186,16 +181,15 @@ def test_a_pulse_after_the_end_of_the_run(key, value):
         ({"pulse": {"high": 0, "width": "1 ms", "start": "1 s"}}, 0),
     ],
 )
-def test_waveforms_and_the_end_of_the_run(wave, count):
+def test_only_waveforms_that_are_constant_during_the_run_cause_a_warning(wave, count):
     push = {"part": "source", "kind": "force", "pins": {"out": "mass.a"}, **wave}
     assert len(load(OSCILLATOR | {"push": push})) == count
 
 
 def test_a_logarithmic_range_from_zero_is_an_error():
-    with pytest.raises(kc.errors.UsageError) as caught:
-        kc.load_scene(BUZZER, {"analysis.start": 0})
-    assert caught.value.message == "a logarithmic range cannot begin at zero"
-    assert 'scale = "linear"' in caught.value.hint
+    error = fails(kc.load_scene, BUZZER, {"analysis.start": 0})
+    assert error.message == "a logarithmic range cannot begin at zero"
+    assert 'scale = "linear"' in error.hint
     kc.load_scene(BUZZER, {"analysis.start": 0, "analysis.scale": "linear"})
 
 
@@ -208,12 +202,10 @@ def test_a_linear_range_from_zero_has_the_resonances():
         assert found[name] == pytest.approx(usual[name], rel=1e-4)
 
 
-def test_a_relative_tolerance_below_the_rounding_errors(cli):
-    Path("my.toml").write_text(
-        '[battery]\npart = "source"\nsine = { frequency = "1 kHz" }\n[load]\npart = "resistor"\n'
-        'resistance = "1 kOhm"\npins = { a = "battery.out" }\n[analysis]\ntype = "transient"\n'
-        'stop = "1 ms"\n'
-    )
+def test_a_relative_tolerance_below_the_rounding_errors_is_an_error(cli):
+    text = RESISTOR.replace('dc = "10 V"', 'sine = { frequency = "1 kHz" }')
+    transient = 'type = "transient"\nstop = "1 ms"'
+    Path("my.toml").write_text(text.replace('type = "op"', transient))
     found = cli("run", "my.toml", "--set", "solver.reltol=1e-20")
     assert found.exit_code == 2
     assert "raise solver.reltol to 1e-12" in found.stderr
