@@ -75,8 +75,12 @@ def test_two_sweeps_do_not_write_one_table(tmp_path):
         RowStore(tmp_path / "rows", 6, "d")
     with opened(tmp_path / "rows"):
         pass
-    with pytest.raises(UsageError, match="results of another sweep"):
+    # The caught error keeps the rejected store alive; its lock must be gone all the same.
+    with pytest.raises(UsageError, match="results of another sweep") as caught:
         RowStore(tmp_path / "rows", 6, "other")
+    with opened(tmp_path / "rows"):
+        pass
+    assert caught.value.exit_code == 2
 
 
 GOOD = '{"metrics": {"x": 1.0}, "facts": {}, "failure": null, "interrupted": false}'

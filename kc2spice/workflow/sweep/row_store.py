@@ -66,36 +66,51 @@ class RowStore:
             )
         try:
             self._rows = sqlite3.connect(path, timeout=0.0, isolation_level=None)
-            self._rows.executescript(_OPEN_STATEMENTS)
-            (stored,) = self._rows.execute("select digest from sweep").fetchone() or (None,)
-            if stored is None:
-                self._rows.execute("insert into sweep values (?)", (digest,))
-            for point, text in self._rows.execute("select * from row") if stored == digest else ():
-                if point not in range(points):
-                    raise ValueError(
-                        f"the row belongs to point {str(point)[:80]!r}, "
-                        f"but the points of the sweep are numbered 0 to {points - 1}"
-                    )
-                self._store_outcome(point, _OUTCOME_ADAPTER.validate_json(text, strict=True))
+        except sqlite3.Error as error:
+            raise self._unusable_file(error) from None
+        try:
+            self._read_rows(points, digest)
         except (sqlite3.Error, ValueError) as error:
-            message = "this file is damaged, or is not the results file of this sweep"
-            hint = "delete this file; the sweep then computes its points again"
-            if "locked" in str(error):
-                message = "another sweep is writing to this directory"
-                hint = "wait until the other sweep ends, or choose another --out"
-            elif any(cause in str(error) for cause in _WRITE_FAILURES):
-                message = "this file cannot be written"
-                hint = "check the permissions and the free space of the directory"
-            got = str(error).splitlines()[0][:200]
-            raise UsageError(message, where=str(path), got=got, hint=hint) from None
-        if stored not in (None, digest):
+            self.close()
+            raise self._unusable_file(error) from None
+        except BaseException:
+            self.close()  # an open connection would lock the file against the next sweep
+            raise
+
+    def _read_rows(self, points: int, digest: str) -> None:
+        """Lock the file, and read its rows if they belong to the sweep with this ``digest``."""
+        self._rows.executescript(_OPEN_STATEMENTS)
+        (stored,) = self._rows.execute("select digest from sweep").fetchone() or (None,)
+        if stored is None:
+            self._rows.execute("insert into sweep values (?)", (digest,))
+        elif stored != digest:
             raise UsageError(
                 "this directory contains the results of another sweep",
-                where=str(path.parent),
+                where=str(self.path.parent),
                 got="results of another scene, or of other keys, values or options",
                 expected="a new directory, or the directory of the same sweep",
                 hint="choose another --out, or delete this directory",
             )
+        for point, text in self._rows.execute("select * from row"):
+            if point not in range(points):
+                raise ValueError(
+                    f"the row belongs to point {str(point)[:80]!r}, "
+                    f"but the points of the sweep are numbered 0 to {points - 1}"
+                )
+            self._store_outcome(point, _OUTCOME_ADAPTER.validate_json(text, strict=True))
+
+    def _unusable_file(self, error: sqlite3.Error | ValueError) -> UsageError:
+        """Return the error for a file that SQLite or the reader of the rows rejects."""
+        message = "this file is damaged, or is not the results file of this sweep"
+        hint = "delete this file; the sweep then computes its points again"
+        if "locked" in str(error):
+            message = "another sweep is writing to this directory"
+            hint = "wait until the other sweep ends, or choose another --out"
+        elif any(cause in str(error) for cause in _WRITE_FAILURES):
+            message = "this file cannot be written"
+            hint = "check the permissions and the free space of the directory"
+        got = str(error).splitlines()[0][:200]
+        return UsageError(message, where=str(self.path), got=got, hint=hint)
 
     def write_row(self, point: int, outcome: PointResult) -> None:
         """Write the result of one point, in place of an earlier result of the point.
