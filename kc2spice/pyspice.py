@@ -24,7 +24,8 @@ def pyspice_subcircuit(part: Subcircuit, package: Package = "PySpice") -> Any:
     Parameters
     ----------
     part : Subcircuit
-        Part of kc2spice, such as :func:`kc2spice.read_lib` or :func:`kc2spice.subcircuit` returns.
+        Subcircuit to convert, for example from :func:`kc2spice.read_lib` or
+        :func:`kc2spice.subcircuit`.
     package : "PySpice" or "InSpice", default "PySpice"
         Package whose subcircuit is returned.
 

@@ -41,8 +41,9 @@ the sphere, y is zero, and x is the polar angle from the lower pole. On the axis
 zero, and y increases with the height h. In the half disc, lines of constant angle x cross lines of
 constant angle y at right angles. On the surface of the sphere, every node of the pressure basis
 functions is also a node of the mesh. The conformal map transforms infinity in the quarter plane w
-to the upper pole of the sphere. The mesh omits a pit of the radius ``R / 30`` at the upper pole.
-Omission of the pit at the upper pole reduces the sphere's mass by the fraction 1e-5.
+to the upper pole of the sphere. The mesh ends at a small void around the upper pole, with a radius
+of at most ``R / 30``. The void at the upper pole reduces the mass of the meshed sphere by the
+fraction 1e-5.
 
 Displacements of the sphere are relative to its centre of mass. The rigid translation of the sphere
 along the axis is the vector t (n,), and its mass is ``m = t' M t``. Inertia forces that balance the
@@ -51,8 +52,9 @@ do not move the centre of mass. The stiffness matrix K of an unsupported sphere 
 a rigid translation t deforms nothing: ``K t = 0``. A spring with the stiffness matrix ``(M t) (M
 t)' w^2 / m`` resists the rigid translation t and makes K definite. An additional unknown of the
 sphere's model represents this spring, and elimination of the unknown adds the spring's stiffness to
-K. No port force deforms this spring, and no output contains its deformation. A uniform force on the
-sphere, such as weight, has no effect.
+K. No port force deforms this spring, and no output contains its deformation. A uniform body force
+on the sphere, such as its weight, causes no deformation, because inertia forces balance this body
+force at every point.
 """
 
 from __future__ import annotations
@@ -85,7 +87,7 @@ CELL_GROWTH = 1.3  # ratio of successive cell sizes outside of the contact
 EVEN_RADIUS_RATIO = 0.2
 # largest contact radius of a force law, relative to the radius of the patch
 MAX_CONTACT_RATIO = 0.5
-# The force law is fitted to contact radii that contain at least this number of basis functions.
+# The force law is fitted only to contact areas that cover at least this number of basis functions.
 MIN_FUNCTIONS = 5
 LAW_DEGREE = 5  # degree of the force law's polynomial in the contact radius
 FIT_DEPTHS = 300  # number of indentations to which the force law is fitted
@@ -96,7 +98,8 @@ REGULARISATION = 1e-7
 # The speed of shear waves is c, and Poisson's ratio is 0.25 (Lamb 1882).
 OBLATE_FREQUENCY = 2.65
 MAX_CELL_ANGLE = 1 / 8  # rad, largest angle that a cell of the sphere's mesh spans
-PIT_ANGLE = 1 / 60  # rad, angle around the upper pole that the mesh omits
+# rad; the mesh of the sphere ends at one to two times this angle from the upper pole
+PIT_ANGLE = 1 / 60
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,8 +132,8 @@ class PressureBasis(EqualByContent):
         """Return node radii, and the contact pressure at each node under a unit force.
 
         ``shares`` contains the fraction of the total force that each basis function carries. The
-        first array contains the radii [m] of the nodes, and the second array the pressures [1/m^2]
-        at these nodes.
+        first returned array contains the radii [m] of the nodes. The second returned array contains
+        the pressure per unit contact force [1/m^2] at each node.
         """
         return self.nodes, np.append(shares / self.areas, 0.0)
 
@@ -329,7 +332,8 @@ def _compute_basis_loads(solid: Solid, shape: PressureBasis, facets: np.ndarray)
     def compute_facet_load(heights: np.ndarray) -> np.ndarray:
         """Return the nodal loads of a pressure profile on the facets.
 
-        ``heights`` are the values at the nodes of the basis functions.
+        ``heights`` contains the value of the pressure profile at each node of the basis functions.
+        Between the nodes, the pressure profile is linear.
         """
         profile = partial(np.interp, xp=shape.nodes, fp=heights, right=0.0)
         form = LinearForm(lambda v, w: profile(w.x[0]) * w.x[0] * np.abs(w.n[1]) * v)
@@ -520,7 +524,7 @@ def _make_free_sphere_model(
         facts={"unknowns": float(len(unknowns)), "mass_kg": mass},
     )
     moved = sparse.eye_array(free.size, format="csc")[:, unknowns]
-    none = sparse.csc_array((len(free), 0))  # the sphere has no electric field
+    none = sparse.csc_array((len(free), 0))  # the sphere is not piezoelectric: no potentials
     return FiniteElementModel(model, solid, moved, none, none, np.zeros((0, 0)), 0.0, mass)
 
 

@@ -106,7 +106,7 @@ def correct_responses(
 
 
 class BlockMatrix(NamedTuple):
-    """Matrix of 2 x 2 sparse blocks: mesh unknowns and additional shape functions.
+    """Matrix of four sparse blocks, for mesh unknowns and additional shape functions.
 
     The first rows and columns of the matrix are for the unknowns of the mesh. The last rows and
     columns of the matrix are for the coefficients of the additional shape functions.
@@ -136,7 +136,8 @@ class EnrichedModel:
 
     ``operators`` are the matrices of the additional shape functions. ``factors`` are the factorised
     blocks of K and P of the additional shape functions; a factor is None if its block is empty. The
-    function ``solve_shifted`` multiplies by ``(K + shift M)^-1`` of the mesh.
+    function ``solve_shifted`` multiplies vectors by ``(K + shift M)^-1``, where K and M are the
+    matrices of the mesh without the additional shape functions.
     """
 
     device: FiniteElementModel
@@ -204,8 +205,9 @@ def enrich_model(
 ) -> EnrichedModel:
     """Add cubic shape functions to the finite-element model of a solid.
 
-    The function ``solve_shifted`` multiplies by ``(K + shift M)^-1`` of the mesh. The device
-    consists of ``sectors`` equal solids, of which one is meshed.
+    The function ``solve_shifted`` multiplies vectors by ``(K + shift M)^-1``, where K and M are the
+    matrices of the mesh without the additional shape functions. The device consists of ``sectors``
+    equal solids, of which one is meshed.
     """
     model, enrichment = device.model, make_enrichment(device.solid)
     more = assemble_enrichment(enrichment, *_find_free_functions(device, enrichment)).scale(sectors)

@@ -15,15 +15,16 @@ radiated power ``int |F|^2 dOmega`` also depends on the distribution of v. A pis
 Without a baffle, the sound of the back of a thin plate cancels the sound of the front. The plate
 then radiates as a dipole. At small k a, removal of the baffle multiplies the on-axis pressure
 magnitude of the plate by ``(k / 2) int v g dS / int v dS``, with the normal velocity v and the
-potential difference g. The function g is the difference in velocity potential across a rigid plate
-that moves at a velocity of 1. For an ellipse with the half-axes a and b,
+velocity-potential difference g at unit velocity. The function g is the difference in velocity
+potential between front and back of a rigid plate, divided by the velocity of the plate. For an
+ellipse with the half-axes a and b,
 
     g = 2 b sqrt(1 - x^2 / a^2 - y^2 / b^2) / E(m),     m = 1 - b^2 / a^2,
 
 with the complete elliptic integral E(m) of the second kind, which is pi / 2 for a disc (H. Lamb,
 Hydrodynamics, 6th ed., sections 102 and 108). For a long strip, g is ``2 sqrt(b^2 - y^2)``. For a
-rectangular plate with the sides 2 a and 2 b, the potential difference g is approximately ``2
-sqrt(b^2 - y^2) / E(m)``. The mean g of this approximation is 4 % to 10 % too large for a
+rectangular plate with the sides 2 a and 2 b, the velocity-potential difference g is approximately
+``2 sqrt(b^2 - y^2) / E(m)``. The mean g of this approximation is 4 % to 10 % too large for a
 rectangular plate.
 
 The back of a thick body can move otherwise than its front. The whole surface of a body, with the
@@ -38,13 +39,14 @@ the pressure at low frequencies by 6 dB.
 
 In a closed volume, the mean of v over the face compresses the fluid. The difference of v from its
 mean is a sum of the volume's cross modes psi_n with the amplitudes v_n. The cross modes do not
-propagate below their cut-off frequencies. In a cylinder of depth h with cross wave numbers kappa_n,
-the near field of these modes has the mass
+propagate below their cut-off frequencies. In a cylinder of depth h, the near field of the cross
+modes has the mass
 
     sum_n rho |v_n|^2 coth(g_n h) / g_n <= rho coth(g_1 h) / g_1 int |v - mean|^2 dS,
 
-with ``g_n^2 = kappa_n^2 - k^2``. In the formula of this mass, v is the normal velocity for a motion
-of the body with unit amplitude.
+where ``g_n^2 = kappa_n^2 - k^2``, kappa_n is the wave number of cross mode n over the
+cross-section, and k is the wave number of sound. In the formula of this mass, v is the normal
+velocity for a motion of the body with unit amplitude.
 """
 
 from __future__ import annotations
@@ -215,9 +217,9 @@ class FaceMotion:
         """Compute the ratio of the far fields without and with a baffle, for each motion.
 
         The returned ratio is for the sound pressure on the axis of the face, for small k a. The
-        docstring of this module contains the formula. ``surface`` is the whole surface of the body
-        in the same motions; without ``surface``, the body is a thin plate. The returned array has
-        the shape (motions,).
+        docstring of this module contains the formula. ``surface`` contains the displacement of the
+        whole surface of the body for each motion; without ``surface``, the body is a thin plate.
+        The returned array has the shape (motions,).
         """
         face_volume, volume = self.displaced_volumes, np.zeros(self.normal.shape[1])
         moment = (self.areas * self.compute_potential_differences()) @ self.normal

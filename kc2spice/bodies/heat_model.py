@@ -3,9 +3,10 @@
 The unknowns z are temperature rises above the ambient temperature. One unknown belongs to each free
 node and to each isothermal face. If a film has a pin, the temperature of the fluid outside of the
 film is also an unknown. The nodal temperature rises are ``T = P z``. Film f has the heat transfer
-coefficient h_f, and H_f is the matrix of its faces. For interface i, r_i [m^2 K/W] is the product
-of thermal resistance and area, and J_i is the matrix of temperature jumps. The matrices are
-assembled in :mod:`kc2spice.fem.heat_conduction`. The equations of the model are::
+coefficient h_f. The matrix H_f contains the integrals of shape-function products over the faces of
+film f. For interface i, r_i [m^2 K/W] is the product of thermal resistance and area, and J_i is the
+matrix of temperature jumps. The matrices are assembled in :mod:`kc2spice.fem.heat_conduction`. The
+equations of the model are::
 
     E z' + K z = B q,   y = B' z,
     E = P'E_solid P,    K = P'(K_solid + sum_f h_f H_f + sum_i J_i / r_i) P.

@@ -63,10 +63,10 @@ def estimate_mesh_errors(
 ) -> dict[str, float]:
     """Estimate relative mesh errors of frequencies and static responses of a body.
 
-    Return a mapping of names to relative errors. Each name is :data:`MESH_ERROR_PREFIX` followed by
-    ``resonance``, ``modes``, ``capacitance``, ``stroke`` or ``compliance``. The error of ``modes``
-    is the largest frequency error of all computed modes. The body consists of ``sectors`` equal
-    solids, of which one is modelled.
+    Return a dictionary with the relative errors of frequencies and static responses. The key of an
+    error is :data:`MESH_ERROR_PREFIX` followed by ``resonance``, ``modes``, ``capacitance``,
+    ``stroke`` or ``compliance``. The error of ``modes`` is the largest frequency error of all
+    computed modes. The body consists of ``sectors`` equal solids, of which one is modelled.
     """
     volts = answers.static.shape[1]
     estimate = (

@@ -124,8 +124,8 @@ class BoundaryConditions:
     lumped : additional mass [kg] at each node, an array of shape (nodes,).
     springs : additional stiffness matrix [N/m] of shape (d * nodes, d * nodes), with d
         displacements per node.
-    sectors : number of equal solids that move identically. One of the ``sectors`` solids is meshed,
-        and the model represents all ``sectors`` solids.
+    sectors : number of equal solids that move identically. Only one of the equal solids is meshed,
+        and the model represents all of the equal solids.
     damping : damping of the solid.
     """
 
@@ -184,7 +184,7 @@ def make_damped_model(solid: Solid, setup: BoundaryConditions) -> FiniteElementM
 def make_undamped_model(solid: Solid, setup: BoundaryConditions) -> FiniteElementModel:
     """Make the undamped model of a solid with its constraints and ports.
 
-    Characteristic values are not computed.
+    Modes, static responses and mesh errors of the solid are not computed.
     """
     full = assemble_solid(solid)
     P, motions = _constrain_displacements(solid, setup)
@@ -641,9 +641,9 @@ class BondedBlocks:
         return result
 
     def _list_edges(self) -> np.ndarray:
-        """Return the edges [m] of all blocks, electrodes, supports and ports per axis.
+        """List coordinates [m] of the edges of all blocks, electrodes, supports and ports.
 
-        The returned array has the shape (axes, edges).
+        The returned array has the shape (axes, edges), with one row of coordinates for each axis.
         """
         boxes = [*map(attrgetter("box"), self.blocks), *self.ports.values()]
         boxes += map(itemgetter(1), self.fixed)

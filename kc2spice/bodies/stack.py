@@ -2,11 +2,10 @@
 
 One quarter of the stack is meshed, because all four quarters move in the same way. The nodes are on
 concentric circles, so that a force on a ring is exactly a sum of nodal forces. A *level* is a layer
-of elements of the mesh. A level represents one ceramic layer, or several ceramic layers as a
-homogeneous medium. A level represents at most ``layers_per_element`` ceramic layers. The electrodes
-determine the electric field in each ceramic layer. Therefore, m parallel layers at the same voltage
-are equivalent to one layer with m times the thickness, the coupling ``m e`` and the permittivity
-``m^2 eps``.
+of elements of the mesh. A level of elements represents either one ceramic layer, or up to
+``layers_per_element`` ceramic layers as a homogeneous medium. The electrodes determine the electric
+field in each ceramic layer. Therefore, m parallel layers at the same voltage are equivalent to one
+layer with m times the thickness, the coupling ``m e`` and the permittivity ``m^2 eps``.
 
 Electrode planes with even numbers are the grounded cathode, and planes with odd numbers are the
 anode. The poling of the layers alternates: the poling is along -z above a cathode, so that a
@@ -71,7 +70,7 @@ def make_stack(
     Each quarter has the displacement of the whole ring. ``breakdown`` [V/m] is the breakdown field
     of a layer. If a ``pressure`` is given, the model has one mechanical port for this pressure
     instead of the ring ports. ``pressure`` contains radii [m], and the pressure at each radius. The
-    pressure is linear between two radii, and zero beyond the last radius.
+    pressure is linear between neighbouring radii, and zero beyond the last radius.
 
     Raises
     ------
@@ -184,8 +183,8 @@ def choose_level_spans(kick: StackKeys) -> np.ndarray:
 def choose_cap_layers(kick: StackKeys, cap: Cap | None) -> int:
     """Choose the number of element levels in a cap at the end of a stack.
 
-    A level in the cap is about as thick as an active layer. A cap has two to sixteen levels. The
-    returned number of levels is 0 if there is no cap.
+    A cap has two to sixteen levels of elements. Each level of elements in the cap is about as thick
+    as an active ceramic layer. The returned number of levels is 0 if there is no cap.
     """
     if cap is None:
         return 0
@@ -284,12 +283,12 @@ def _find_electrodes(
 
     ``spans`` contains the number of ceramic layers in each level; the number is 0 in a cap.
     ``faces`` [m] contains the heights of the lower and upper faces of the levels. A level of
-    several ceramic layers also contains inner electrodes, which the mesh does not represent. Return
-    the nodes of ``anode`` and ``cathode``. The second value contains the nodes inside every level
-    of several ceramic layers, without the nodes on the faces of the level. The second value also
-    contains the potential of each node between the faces, as a fraction of the anode's voltage. The
-    second value is None if no level that contains several ceramic layers has mesh nodes between its
-    lower and upper faces.
+    several ceramic layers also contains inner electrodes, which the mesh does not represent. The
+    first returned value maps ``anode`` and ``cathode`` to their nodes. The second returned value
+    contains the nodes between the lower and the upper face of a level that represents several
+    ceramic layers. The second returned value also contains the potential of each node between the
+    faces, as a fraction of the anode's voltage. If no node lies between the two faces of a level of
+    several ceramic layers, the second returned value is None.
     """
     active, z = np.flatnonzero(spans), solid.node_positions[2]
     planes = faces[np.r_[active, active[-1] + 1]]

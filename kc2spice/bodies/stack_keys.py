@@ -100,8 +100,8 @@ class ChipMesh(Section):
 class ChipDamping(DampingKeys):
     """Keys of the damping of a piezoelectric chip.
 
-    The damping ratio applies at the frequency ``at``. The default of ``at`` is the frequency for
-    the chip of Schütz et al. (2021).
+    The damping ratio applies at the frequency ``at``. By default, the damping ratio applies at 250
+    kHz, as for the chip of Schütz et al. (2021).
     """
 
     at: Frequency | tuple[Frequency, Frequency] | None = Field(
@@ -160,10 +160,11 @@ class StackKeys(Section):
     """Keys of a layered piezoelectric stack, of which one quarter is modelled.
 
     The cross-section of the stack is a square with the side ``side``, a rectangle ``side`` (x)
-    times ``depth`` (y), or a circle with the ``diameter``. ``height`` is the height of the active
-    layers. If ``layer_thickness`` is given, the height is ``layers`` times ``layer_thickness``. The
-    electric field is along z. A positive voltage lengthens a stack that is poled along z. A voltage
-    shears a stack that is poled along x, so its contact rings move along x.
+    times ``depth`` (y), or a circle with the ``diameter``. ``height`` is the total height of all
+    active layers. If ``layer_thickness`` is given, the height is ``layers`` times
+    ``layer_thickness``. The electric field is along z. A positive voltage lengthens a stack that is
+    poled along z. A voltage shears a stack that is poled along x, so its contact rings move along
+    x.
     """
 
     side: Width = Field(3e-3, gt=0, description="Width of a rectangular stack along x")

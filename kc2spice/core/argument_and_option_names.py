@@ -40,7 +40,7 @@ def replace_arguments_by_options(error: UsageError, names: Iterable[str]) -> Non
     alone = re.compile(rf"\b(leave out|delete|add|raise|lower|arguments?) ({pattern})\b(?!=)")
 
     def write_option(match: re.Match[str]) -> str:
-        """Write a Python argument, match in a text, as a command-line option with value."""
+        """Return the command-line option for a matched Python argument and its value."""
         value = match["item"] or match["value"]
         if match["pair"] is not None:
             value = match["pair"].replace(",", "")
@@ -69,7 +69,10 @@ def replace_options_by_arguments(error: UsageError, overrides: str = "overrides"
     """
 
     def write_argument(match: re.Match[str]) -> str:
-        """Write an option as a Python argument with its value; keep whole command lines."""
+        """Return the Python argument for a matched command-line option and its value.
+
+        If the match is a whole command line, the matched text is returned unchanged.
+        """
         if match["command"]:
             return match[0]
         name, value = match["name"], match["value"]

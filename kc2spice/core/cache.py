@@ -212,7 +212,7 @@ def _load_entry(path: Path, known: Mapping[str, type]) -> tuple[Any] | None:
             f"the cache entry {path.name} is damaged and is computed again: {error}", stacklevel=3
         )
         return None
-    with contextlib.suppress(OSError):  # the time of a read-only entry cannot be set
+    with contextlib.suppress(OSError):  # a read-only file keeps its modification time
         os.utime(path)  # records the time of the entry's last use
     return (result,)
 

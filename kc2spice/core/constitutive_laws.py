@@ -30,7 +30,7 @@ from kc2spice.core.waveforms import Function
 
 
 def _collect_names(domains: Iterable[Domain]) -> tuple[str, ...]:
-    """Return the names of the given domains."""
+    """Return the name of each domain, such as "thermal", in a tuple."""
     return tuple(map(attrgetter("name"), domains))
 
 
@@ -89,8 +89,8 @@ class WaveCombination:
     def evaluate(self, waves: Mapping[str, np.ndarray], scale: np.ndarray) -> np.ndarray | None:
         """Evaluate the combination of waveforms; for small signals, omit its constant.
 
-        ``scale`` contains the times [s] or frequencies [Hz] of the waves. The function returns None
-        if ``rate`` is true and the waves are not small signals.
+        ``scale`` contains the time [s] or the frequency [Hz] of each sample of the waveforms. The
+        function returns None if ``rate`` is true and the waves are not small signals.
         """
         value = self.combine(waves)
         if not np.iscomplexobj(value):
@@ -106,8 +106,8 @@ def evaluate_combinations(
 ) -> dict[str, np.ndarray]:
     """Evaluate the linear combinations for which all waveforms are available.
 
-    The result is keyed by the name of the combination. ``scale`` contains the times [s] or
-    frequencies [Hz] of the waves.
+    The result is keyed by the name of the combination. ``scale`` contains the time [s] or the
+    frequency [Hz] of each sample of the waveforms.
     """
     result = {}
     for name, item in combinations.items():
@@ -147,9 +147,9 @@ class Equations:
     may correspond to one pin of a law. For example, the velocity node and the displacement node in
     a netlist correspond to one coordinate of a law. Each item of ``nets`` lists pins of the part's
     laws that are connected to each other inside the part. ``results`` maps the part's results to
-    combinations of waves. The keys of ``sweeps`` are the scene keys that a dc analysis may sweep.
-    Each value of ``sweeps`` contains the name of a source, and the source's value per SI unit of
-    the scene key.
+    combinations of waves. ``sweeps`` is keyed by the scene keys that a dc analysis may sweep. For
+    each scene key, ``sweeps`` contains the name of a source, and the value of this source per SI
+    unit of the scene key.
     """
 
     laws: tuple[Law, ...] = ()
@@ -296,8 +296,8 @@ class AcrossInput:
 class Flow:
     """Output of a device: a through quantity (flow) that enters at one of its pins.
 
-    The flow leaves the device at the pin ``minus``. If ``less`` is given, an equal flow also leaves
-    the device at the pin ``less``.
+    The flow that enters the device at ``pin`` leaves the device at the pin ``minus``. If ``less``
+    is given, the full flow leaves the device at each of the two pins ``minus`` and ``less``.
     """
 
     pin: str
@@ -315,10 +315,10 @@ class Device(ABC):
     of all prescribed signals. The rate of a state is the time derivative of the state's entry in
     ``store(e)``, the array of stored quantities. By default, ``store(e)`` contains the states
     themselves. The flow with the index ``storing_flow_indices[i]`` also contains the time
-    derivative of the entry ``len(states) + i`` of ``store(e)``. A switching state ends when a
-    guard function is no longer positive. ``start`` contains the initial value [m] of
-    the first across input, and the initial rate [m/s] of this input. Without ``start``, the device
-    begins at equilibrium.
+    derivative of the entry ``len(states) + i`` of ``store(e)``. A switching state ends when a guard
+    function is no longer positive. ``start`` contains the initial displacement [m] and velocity
+    [m/s] that belong to the first entry of ``across_inputs``. Without ``start``, the device begins
+    at equilibrium.
     """
 
     name: str
@@ -438,7 +438,7 @@ class Device(ABC):
         return None
 
     def evaluate_guards(self, e: np.ndarray, mode: Any) -> np.ndarray:
-        """Evaluate the guard functions, which are positive in a switching state."""
+        """Evaluate the guard functions; each one is positive until the device switches."""
         return np.empty(0)
 
     def find_next_mode(self, mode: Any, guard: int) -> Any:
@@ -483,16 +483,19 @@ class Device(ABC):
 Law = SecondOrderBody | IdealSource | Device
 
 MICRO = 1e-6  # m, unit of displacement in the scaled equations
-GROWTH_RATE = 1e3  # 1/s, growth rate of the loads on an unsupported body
+# The response to loads that grow exponentially at this rate [1/s] replaces the static response of
+# an unsupported body.
+GROWTH_RATE = 1e3
 
 
 @dataclass(frozen=True, eq=False)
 class Relation:
     """Affine relation ``y = H a + free`` between the loads and the outputs of a body.
 
-    The array a has the shape (inputs,), and the array y the shape (outputs,). A relation describes
-    a linear body in static equilibrium, at one frequency, or within one stage of an implicit time
-    step. In a time step, ``free`` contains the outputs that the earlier motion of the body causes.
+    The array ``a`` has the shape (inputs,), and the array ``y`` has the shape (outputs,). A
+    relation describes a linear body in static equilibrium, at one frequency, or within one stage of
+    an implicit time step. In a time step, ``free`` contains the outputs that the earlier motion of
+    the body causes.
     """
 
     H: np.ndarray
@@ -503,12 +506,13 @@ class Relation:
 class PortBody(Device):
     """Linear body of any size, represented by a relation between its port quantities.
 
-    The methods of a port body receive a :class:`Relation` as their argument ``mode``. The loads a
-    are forces [N], voltages [V], accelerations [m/s^2] and signals, in the order of the ports with
-    a column of B. The outputs y are displacements [m], charges [C] and signals, in the order of the
-    rows of C. The forces and the currents i are unknowns of the device. For each force, one
-    equation states that the displacement at the pin equals the output ``y(a)``. For each current i,
-    the equation is ``dq(a)/dt = i`` with the charge q.
+    The methods of a port body receive a :class:`Relation` as their argument ``mode``. The vector
+    ``a`` contains the loads: forces [N], voltages [V], accelerations [m/s^2] and signals, in the
+    order of the ports with a column of B. The vector ``y`` contains the outputs: displacements [m],
+    charges [C] and signals, in the order of the rows of C. The forces and the currents i are
+    unknowns of the device. For each force, one equation states that the displacement at the pin
+    equals the output ``y(a)``. For each current i, the equation is ``dq(a)/dt = i`` with the charge
+    q.
 
     The method ``transfer(s)`` of the model's ``pencil`` computes the relation at the complex
     frequency s, and with s = 0 the static relation. For each stage of a time step, the integrator
@@ -590,10 +594,10 @@ class PortBody(Device):
     def static_relation(self) -> Relation:
         """Relation between the loads and the outputs of the body in static equilibrium.
 
-        Scenes with a constant load on an unsupported body are rejected. Without a constant load, an
-        unsupported body stays at rest for any finite relation, so the choice of the relation does
-        not matter. The static relation of an unsupported body is the response to loads that grow
-        exponentially with the rate :data:`GROWTH_RATE`.
+        Scenes with a constant load on an unsupported body are rejected. Without a constant load,
+        all loads in static equilibrium are zero, so an unsupported body stays at rest for any
+        finite matrix H. The static relation of an unsupported body is the response to loads that
+        grow exponentially with the rate :data:`GROWTH_RATE`.
         """
         try:
             H = self.transfer(0.0)
@@ -611,7 +615,7 @@ class PortBody(Device):
         return self.responses[s]
 
     def find_initial_mode(self, e: np.ndarray) -> Relation:
-        """Find the initial mode: a linear body's static relation of outputs to loads."""
+        """Return the static relation of the body as the initial ``mode`` of the device."""
         return self.static_relation
 
     def evaluate(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:

@@ -23,7 +23,8 @@ Side = Literal["across", "through"]
 BASE = "base"
 AMBIENT = "ambient"
 SIGNAL = "-"
-HEAT = "heat"  # name of the pin through which a part gives off heat, and of the heat flow
+# name of the heat flow of a part, and name of the pin at which the heat flow leaves the part
+HEAT = "heat"
 HEAT_PINS = (
     f"1 V from {HEAT} to {AMBIENT} is a rise of 1 K over the ambient temperature; "
     f"1 A out of {HEAT} is 1 W of all losses of the part"
@@ -69,11 +70,12 @@ class Domain:
     ``port`` is the kind of a model's port in this domain. The input of the port is the quantity on
     ``input_side``. The output of the port has the unit ``output_unit`` and the short name
     ``output_symbol`` in results. In the test deck that ``kc2spice reduce`` writes, the wave of the
-    output is called ``output_wave``. ``compliance`` is the unit of the ratio of static output to
-    input. The value across a pin is relative to the pin ``reference``; in a domain without a
-    reference pin, ports are pairs of pins. ``rate`` is a second quantity across pins, the time
-    derivative of ``across``. If ``across`` is relative to an accelerated frame of reference,
-    ``frame`` is the name of the domain of the frame's acceleration.
+    output is called ``output_wave``. ``compliance`` is the unit of a port's static output divided
+    by the port's input, such as m/N for a displacement and a force. The value across a pin is
+    relative to the pin ``reference``; in a domain without a reference pin, ports are pairs of pins.
+    ``rate`` is a second quantity across pins, the time derivative of ``across``. If ``across`` is
+    relative to an accelerated frame of reference, ``frame`` is the name of the domain of the
+    frame's acceleration.
 
     In a domain with a ``path_to_reference``, a net without a path to the reference has no operating
     point. ``path_to_reference`` describes possible paths in words, and ``path_part`` is a part type
@@ -123,7 +125,7 @@ class Domain:
 
     @property
     def admittance(self) -> float:
-        """Admittance [A/V] in the netlist that represents an admittance of 1 in SI units."""
+        """Netlist admittance [A/V] for 1 SI unit of flow per SI unit across the pins."""
         return (
             1.0 if self.through is None else self.across.factor * self.through.pin_value_per_si_unit
         )
@@ -136,7 +138,7 @@ class Domain:
     def find_value_unit(self, letter: str) -> str:
         """Return the unit that replaces V, A, ohm, F or H in element values of the domain.
 
-        The unit is empty if the domain has the electrical units.
+        The unit is an empty string if the domain's units are volt and ampere.
 
         Examples
         --------

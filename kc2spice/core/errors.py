@@ -152,7 +152,7 @@ def advise_limit(where: str | None, expected: str | None) -> str | None:
     return f"{action} {key} {preposition} {limit[2]}"
 
 
-# Pattern of a limit: a number with a unit, possibly after the name of another quantity.
+# Pattern of a limit with a number, such as "at most 5 m" or "less than the gap, 1e-06 m".
 _LIMIT = re.compile(
     rf"({'|'.join(_LIMIT_ACTIONS)}) (?:[^,;]*, )?(-?\d[\d.e+-]*(?: [\w/%]+)?)(?=$|[,;:])"
 )

@@ -133,7 +133,7 @@ def stage_directory(out: Path | str, *, with_hashes: bool = False) -> Iterator[P
 def make_write_error(typed: str, directory: Path, reason: str) -> UsageError:
     """Make the error for an output path that cannot be written.
 
-    ``typed`` is the user's text.
+    ``typed`` is the output path as the user typed it.
     """
     return UsageError(
         "this path cannot be written",

@@ -60,7 +60,7 @@ class PiecewisePolynomial(EqualByContent):
         )
 
     def add_constant(self, by: np.ndarray) -> PiecewisePolynomial:
-        """Return the piecewise polynomials, with one constant added to each function.
+        """Return the piecewise polynomials with a separate constant added to each one.
 
         The constant of function k is ``by[k]``.
         """
@@ -103,7 +103,8 @@ def interpolate_by_splines(x: np.ndarray, values: np.ndarray) -> PiecewisePolyno
     )
 
 
-TEST_CURRENTS = np.array(list(product((-0.1, 0.0, 0.1), repeat=2)))  # pairs of coil currents [A]
+# nine pairs of currents [A] in the two coils, for which forces are computed
+TEST_CURRENTS = np.array(list(product((-0.1, 0.0, 0.1), repeat=2)))
 # largest difference between heights that count as equal, relative to the height range of the table
 HEIGHT_TOLERANCE = 1e-6
 # Order of convergence of the force with decreasing size of quadratic triangles.
@@ -217,8 +218,9 @@ class MagnetostaticTable(EqualByContent):
 
         The remanence is multiplied by the factor ``remanence``, and the magnets are ``shift`` [m]
         higher. In linear materials, the force between the magnets is proportional to the square of
-        the remanence. The force terms with one current are proportional to the remanence. The force
-        terms with a product of two currents do not depend on the remanence.
+        the remanence. The force terms that are linear in a coil current are proportional to the
+        remanence. The force terms that are quadratic in the coil currents do not depend on the
+        remanence.
         """
         magnets = remanence ** np.array([2, 1, 1, 0, 0, 0])
         coarser = None if self.coarser is None else self.coarser.scale_magnets(remanence, shift)

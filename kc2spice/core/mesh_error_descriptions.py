@@ -13,7 +13,7 @@ from typing import NamedTuple
 # this many unknowns of a plane mesh take as much computing time as one unknown of a solid mesh
 PLANE_UNKNOWN_RATIO = 4.0
 MESH_ERROR_PREFIX = "mesh_error_"  # prefix of the names of relative mesh errors
-# name of the highest frequency that the mesh resolves, in the values of a model
+# in a mapping of model values, the key of the highest frequency [Hz] that the mesh resolves
 MESH_LIMIT_NAME = "mesh_limit_hz"
 NOT_ESTIMATED = "error not estimated, because the matrices state no mesh"
 

@@ -15,7 +15,7 @@ from kc2spice.core.errors import MissingToolError
 class OptionalLibrary(NamedTuple):
     """Optional library: its name on PyPI, and the kc2spice extra that installs it.
 
-    ``extra`` is None for a library that no extra installs.
+    ``extra`` is None if no extra of kc2spice installs the library.
     """
 
     package: str

@@ -32,7 +32,7 @@ def list_entry_points(group: str) -> tuple[str, ...]:
 
 
 def load_plugin(group: str, name: str) -> object:
-    """Import the plugin that an entry point names; return None if it does not exist.
+    """Import the plugin of an entry point; return None if the entry point is missing.
 
     Raises
     ------

@@ -166,7 +166,7 @@ def find_response_maximum(frequency: np.ndarray, size: np.ndarray) -> tuple[floa
     position, largest = float(frequency[k]), float(size[k])
     if not 0 < k < size.size - 1 or not size[k - 1 : k + 2].all():
         return position, largest
-    # 1/|y|^2 = (1 + linear x + square x^2) / largest^2 at the distance x from the largest point
+    # 1/|y|^2 = (1 + linear * x + square * x^2) / largest^2 at the distance x from the largest point
     x = frequency[[k - 1, k + 1]] - position
     slopes = ((largest / size[[k - 1, k + 1]]) ** 2 - 1) / x
     square = (slopes[1] - slopes[0]) / (x[1] - x[0])
@@ -252,8 +252,8 @@ def make_outside_error(
 ) -> UsageError:
     """Make the error for a position outside the analysed time, frequency or key range.
 
-    The range is ``first`` to ``last`` in ``unit``. The error suggests the last position, but for
-    the key ``from``, at which a window begins, the middle of the range.
+    The range is ``first`` to ``last`` in ``unit``. The error suggests the position ``last``. For
+    the key ``from``, the start of a window, the error suggests the middle of the range.
     """
     key = where.rpartition(".")[2]
     return UsageError(

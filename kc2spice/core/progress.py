@@ -63,7 +63,7 @@ def follow_stage(progress: Progress, name: str, text: str) -> Iterator[Callable[
 
 
 def report_remaining_time(seconds: float, step: str) -> None:
-    """Report to the current stage the remaining time [s] and the name of the step."""
+    """Report the remaining time [s] of the current stage, and the name of the step."""
     report = _report.get()
     if report is not None:
         report(seconds, step)

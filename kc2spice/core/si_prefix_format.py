@@ -1,7 +1,6 @@
 """Formatting of numbers with SI prefixes or in percent.
 
-A ratio, or a value with a limit, is printed as 0 if it is so small that it is only a rounding
-error.
+A ratio, or a value that is compared with a limit, is printed as 0 if it is only a rounding error.
 """
 
 from __future__ import annotations
@@ -54,7 +53,7 @@ def format_quantity(value: float | None, unit: str, digits: int = 4) -> str:
     if unit in _PREFIXED_UNITS:
         base_unit, factor = _PREFIXED_UNITS[unit]
         if unit == "kg" and abs(value) >= LARGEST_MASS:
-            return f"{value:.{digits}g} kg"  # a prefix as in Gg is unusual
+            return f"{value:.{digits}g} kg"  # not Gg, which is an unusual unit
         return format_quantity(factor * value, base_unit, digits)
     if _is_power_of_length(unit):
         return _format_power_of_length(value, unit, digits)
@@ -79,8 +78,8 @@ def _format_power_of_length(value: float, unit: str, digits: int) -> str:
 def _accepts_prefix(unit: str) -> bool:
     """Return whether a unit accepts SI prefixes; a phrase used as a unit does not.
 
-    A phrase contains spaces, for example ``of the peak``. A unit that contains spaces and the word
-    ``per`` is not a phrase, and accepts prefixes.
+    A unit with spaces but without the word ``per``, such as ``of the peak``, is a phrase and
+    accepts no prefix. A unit with the word ``per`` accepts prefixes.
     """
     return bool(unit) and (" " not in unit or " per " in unit)
 

@@ -9,7 +9,7 @@ import numpy as np
 from kc2spice.core.waveforms import Waveform
 
 ENERGY_SHARE = 0.999  # share of a signal's energy below the computed frequency
-# Number of samples of a signal. A train of 13 000 pulses has 5 samples per pulse.
+# Number of samples of a signal, enough for a train of 13 000 pulses with 5 samples per pulse.
 SIGNAL_SAMPLES = 2**16
 # For a long pulse train, the frequency is computed from the complete waveform, and again from its
 # first FIRST_CORNERS corners alone.

@@ -43,7 +43,8 @@ _HEADER = re.compile(r"\s*(\[+)([\w.\-\"' ]+)\]*\s*(?:#.*)?")
 class _Repair:
     """Repair of one line of a TOML file: the problem, the new line and the advice.
 
-    ``line`` is the new text of the line with the ``number``, counted from 1.
+    ``number`` is the number of the repaired line, counted from 1. ``line`` is the new text of the
+    repaired line.
     """
 
     problem: str
@@ -192,7 +193,7 @@ def _find_line_number(text: str, message: str) -> int | None:
 
 
 def _measure_parser_position(lines: Sequence[str], repair: _Repair) -> tuple[float, float]:
-    """Return the position, line and column, where the parser stops in a repaired text."""
+    """Return the line and the column at which the parser stops in a repaired text."""
     changed = [*lines[: repair.number - 1], repair.line, *lines[repair.number :]]
     text = "\n".join(changed) + "\n"
     try:
@@ -493,7 +494,7 @@ def _make_duplicate_error(
 def _find_first_line(lines: Sequence[str], number: int, name: str) -> int | None:
     """Find the earlier line of a TOML file that already defines a table or key.
 
-    ``name`` is a table header, or a key in the same table.
+    ``name`` is the header of a table, or a key of the table that contains line ``number``.
     """
     for at in range(number - 1, 0, -1):
         line = lines[at - 1].strip()

@@ -59,7 +59,7 @@ _AFTER_KEY = re.compile(r"[ \t]{0,200}[.=\]]")
 
 
 def reject_toml_file(path: Path, expected: str) -> None:
-    """Raise an error for the path of a TOML file in place of a netlist.
+    """Raise an error if a path names a TOML file instead of a netlist.
 
     ``expected`` describes the netlist that is accepted.
     """

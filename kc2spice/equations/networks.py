@@ -31,8 +31,9 @@ class Network:
     """Network: laws (equations of parts) that are connected by nets other than ground.
 
     ``joins`` maps the name of each net to its pins. ``results`` maps the name of each result to a
-    linear combination of waveforms. ``sweeps`` maps each pair ``(part, key)`` to the name of the
-    source that the key sets, and to the source's value per SI unit of the key.
+    linear combination of waveforms. ``sweeps`` maps each pair ``(part, key)`` to a pair ``(source,
+    factor)``. If the key has the value x in SI units, the source with the name ``source`` has the
+    value ``factor`` times x.
     """
 
     laws: tuple[Law, ...]

@@ -1,4 +1,4 @@
-"""Sources with recorded net values, which replace the parts without equations.
+"""Sources of recorded waveforms on nets, in place of parts without equations.
 
 With these sources, the reference solver can integrate a scene that contains, for example, a user's
 netlist.
@@ -72,11 +72,12 @@ def select_networks_to_solve(
 ) -> list[Network]:
     """Select the networks with unknowns, which the reference solver must solve.
 
-    ``replayed`` maps nets to the kind of their pins. A source on each of these nets reproduces the
-    result of ngspice in ``waves``. If every net of a network has a recorded source, the network
-    contains no unknown and is omitted. For example, a rectifier that has no law charges a
-    capacitor. A source with the recorded output voltage of the rectifier determines the capacitor
-    voltage, so the network of the capacitor is omitted.
+    ``replayed`` maps the name of each net with a recorded waveform to its physical domain, such as
+    ``electrical``. A source on each of these nets reproduces the waveform that ngspice computed,
+    which ``waves`` contains. If every net of a network has a recorded source, the network contains
+    no unknown and is omitted. For example, a rectifier without known equations charges a capacitor.
+    A source with the recorded output voltage of the rectifier determines the capacitor voltage, so
+    the network of the capacitor is omitted.
     """
     sources, driven = {}, set()
     for net, kind in replayed.items():

@@ -46,9 +46,9 @@ class PinLink(NamedTuple):
 class SceneLaws:
     """Laws of the parts of a built scene, created at first use.
 
-    A part without cards (netlist statements) has no law, because another part copies this part or
-    prescribes its motion. A part whose signal drives a load has no law either, because signals of
-    laws carry no current.
+    A part without cards (netlist statements) has no law. Parts have no cards if another part
+    prescribes their motion, or writes copies of their subcircuits. A part whose signal drives a
+    load has no law either, because signals of laws carry no current.
     """
 
     build: BuiltScene
@@ -245,5 +245,5 @@ def store_laws(build: BuiltScene) -> BuiltScene:
 
 
 def _have_same_models(a: BuiltScene, b: BuiltScene) -> bool:
-    """Return whether two built scenes have the same models of the same loaded scene."""
+    """Return whether two built scenes share their loaded scene and their models."""
     return a.scene is b.scene and a.models is b.models

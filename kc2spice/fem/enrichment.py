@@ -58,7 +58,7 @@ class ShapeFunction(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Enrichment:
-    """Cubic shape functions of a solid, with their numbers in the whole mesh.
+    """Cubic shape functions of a solid, with the index of each function in the mesh.
 
     Attributes
     ----------
@@ -276,9 +276,10 @@ def _index_functions(
 
 
 def _find_entity_nodes(solid: Solid, functions: Sequence[ShapeFunction]) -> list[np.ndarray]:
-    """Return the local node numbers on the edge or face of each shape function.
+    """Find the nodes on the edge or face to which each shape function belongs.
 
-    For an interior function, all nodes of the element are returned.
+    The returned list contains an array of local node numbers for each shape function. For an
+    interior function, the array contains all nodes of the element.
     """
     places, corners = np.asarray(solid.element.doflocs).T, solid.element.refdom.p
     result = []
@@ -313,9 +314,10 @@ def _tabulate_functions(
 def _split_by_material(
     solid: Solid, local: int, more: int
 ) -> Iterator[tuple[Material, np.ndarray]]:
-    """Yield pairs of a material and a limited number of its elements.
+    """Split the elements of each material into batches; yield (material, batch) pairs.
 
-    The element matrices of these elements need at most ``CHUNK_BYTES`` bytes.
+    A batch is an array of element numbers. The element matrices of one batch need at most
+    ``CHUNK_BYTES`` bytes.
     """
     count = max(1, int(CHUNK_BYTES / (8 * local * more * (solid.component_count + 1) ** 2)))
     for number, material in enumerate(solid.materials):
@@ -329,12 +331,11 @@ def _compute_element_matrices(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Compute the stiffness matrices S and mass matrices M of elements.
 
-    All elements have the same material. S has the shape (elements, cubic functions, fields, nodal
-    and cubic functions, fields). M has the shape (elements, cubic functions, nodal and cubic
-    functions). The nodal functions are the shape functions of the ``n`` nodes, and precede the
-    cubic functions. The fields are the displacement components, and also the potential in
-    piezoelectric and dielectric materials. S is computed from products of gradients on the
-    reference element.
+    All elements have the same material. S has five axes: element, cubic function, field, nodal or
+    cubic function, field. M has three axes: element, cubic function, nodal or cubic function. The
+    nodal functions are the shape functions of the ``n`` nodes, and precede the cubic functions. The
+    fields are the displacement components, and also the potential in piezoelectric and dielectric
+    materials. S is computed from products of gradients on the reference element.
     """
     rule = _make_basis(solid, cells)
     weights, radius = rule.dx, np.asarray(rule.global_coordinates())[0]
@@ -415,8 +416,8 @@ def _look_up_unknowns(unknowns: np.ndarray, numbers: np.ndarray) -> np.ndarray:
     """Look up the numbers of the unknowns that belong to each shape function.
 
     ``numbers`` (elements, functions) contains the numbers of the shape functions. The returned
-    array has the shape (elements, functions times components). An unknown that is not selected has
-    the number -1.
+    array has the shape (elements, functions * components). An unknown that is not selected has the
+    number -1.
     """
     return unknowns[numbers].reshape(len(numbers), -1).astype(np.int32)
 

@@ -13,9 +13,9 @@ A fit includes only elements of one piece of the mesh. A piece consists of conne
 materials have the same name, so the strain within a piece is continuous. In a stack with
 alternating poling, the coupling of each layer is s times the coupling of the first layer, where s
 is 1 or -1. Multiplied by the sign s of each layer's coupling, the electric field is continuous
-across the layers. In a mesh of linear elements, one fit includes elements of several layers. A fit
+across the layers. In a mesh of linear elements, each fit includes elements of several layers. A fit
 to linear elements of only one layer would be constant across this layer, like the electric field of
-the elements. In a mesh of quadratic elements, one fit includes elements of only one layer. Strain
+the elements. In a mesh of quadratic elements, each fit includes elements of only one layer. Strain
 and field are discontinuous at an electrode if the mean strain changes from layer to layer. Sources:
 O. C. Zienkiewicz and J. Z. Zhu, Int. J. Numer. Meth. Eng. 33 (1992) 1331; N.-E. Wiberg and F.
 Abdulwahab, Int. J. Numer. Meth. Eng. 36 (1993) 2703.
@@ -36,7 +36,7 @@ from kc2spice.fem.solid import Solid, list_strain_operators, list_tensors
 
 CHUNK_SIZE = 1000  # elements or corners processed together, which limits the memory
 # Penalty on the squares of coefficients of degree 1, relative to the mean diagonal entry of the
-# normal equations. The penalty on coefficients of degree p is p^2 times as large.
+# normal equations. The penalty on coefficients of degree p is p^2 * RIDGE_PENALTY.
 # The penalty on coefficients makes the fit of a polynomial to too few points unique.
 RIDGE_PENALTY = 1e-6
 # Penalty on the choice of a neighbouring patch instead of the patch around a corner.
@@ -115,8 +115,9 @@ def _evaluate_fields(
 def _compute_coupling_factors(solid: Solid) -> np.ndarray:
     """Return the coupling factor of each material, an array of shape (materials,).
 
-    The coupling factor is the piezoelectric coupling of a material, divided by the coupling of the
-    first material in ``solid.materials`` that has the same name.
+    Several materials can have one name, for example layers of opposite poling. The coupling factor
+    of a material is its piezoelectric coupling, divided by the piezoelectric coupling of the first
+    equally named material in ``solid.materials``.
     """
     first = {material.name: material.e for material in reversed(solid.materials)}
     pairs = [(material.e, first[material.name]) for material in solid.materials]
@@ -321,7 +322,7 @@ def _widen_patches(
 def _choose_patches(
     number: np.ndarray, members: sparse.csr_array, middle: np.ndarray, places: np.ndarray
 ) -> np.ndarray:
-    """Choose the best patch of elements for each patch: itself or a neighbour.
+    """Choose for each mesh corner its own patch of elements or a neighbouring patch.
 
     The returned array has the shape (patches,). The best patch is the patch whose points surround
     its corner most evenly. If a mesh corner is on the surface of the body, all points of its patch

@@ -150,7 +150,8 @@ def _find_local_coordinates(mesh: skfem.Mesh, cell: int, point: np.ndarray) -> n
 def evaluate_functions_at_point(solid: HeatSolid, point: np.ndarray) -> np.ndarray:
     """Return the values (nodes,) of the shape functions of all nodes at a point.
 
-    For a point outside of the mesh, the value is 1 at the nearest node and 0 at all other nodes.
+    For a point outside of the mesh, the shape function of the nearest node is 1, and all other
+    shape functions are 0.
     """
     geometry, result = solid.geometry, np.zeros(solid.node_count)
     mesh = geometry.mesh

@@ -2,9 +2,9 @@
 
 Force, flux and inductance depend on the height y of the sphere. The axisymmetric magnetostatic
 field is computed with scikit-fem. The unknown is ``a = A_phi / r``, where A_phi is the vector
-potential. Since a is smooth and even in r, no boundary condition is necessary on the axis. The
-magnetic field is ``B_y = b(a)``, ``B_r = -r da/dy`` with ``b(a) = 2 a + r da/dr``. The potential
-energy is ::
+potential. Since the unknown ``a`` is a smooth and even function of r, no boundary condition is
+necessary on the axis. The magnetic field is ``B_y = b(a)``, ``B_r = -r da/dy`` with ``b(a) = 2 a +
+r da/dr``. The potential energy is ::
 
     P(a) = 1/2 int nu (B_r^2 + B_y^2) dV - int nu B_rem b(a) dV - int J r a dV,   dV = 2 pi r dr dy
 
@@ -53,7 +53,8 @@ from kc2spice.core.quantities import MU_0
 from kc2spice.fem.magnet_keys import CatchKeys, RingKeys
 from kc2spice.linalg.factor import Factor, factorise_supernodal
 
-# smallest number of heights for which the field is also computed with elements of twice the size
+# Smallest number of sphere heights at which the field is computed a second time.
+# The second field is computed with elements of twice the size, to estimate the error.
 MIN_COMPARED_HEIGHTS = 5
 RING, SPHERE, LOWER, UPPER = range(4)  # column numbers of the load vectors and of the fields
 # Element sizes for refine = 1, relative to the sphere's radius, and increase of size per distance.
@@ -119,7 +120,8 @@ def _sweep_heights(
     sign = get_ring_direction(catch)
     inductance = fluxes[:, :, [LOWER, UPPER]]
     length = [catch.turns * pi * (c.inner + c.outer) for c in (catch.lower, catch.upper)]
-    magnets = sign * forces[:, RING] + forces[:, SPHERE]  # force of both magnets on each source
+    # row of each force matrix for both magnets together; its columns are the four field sources
+    magnets = sign * forces[:, RING] + forces[:, SPHERE]
     force = (
         forces[:, RING, RING] + forces[:, SPHERE, SPHERE] + 2 * sign * forces[:, RING, SPHERE],
         2 * magnets[:, LOWER],
@@ -162,12 +164,12 @@ class FieldEquations:
     loads: np.ndarray  # (n, 4)
     free: np.ndarray
     mover: np.ndarray  # indices of the unknowns in the mover
-    stretch: sparse.csr_array  # force = -1/2 a' stretch a with the unknowns a in the mover
+    stretch: sparse.csr_array  # matrix S of the force -1/2 a' S a; a: the unknowns in the mover
 
     def solve(self, loads: np.ndarray) -> np.ndarray:
         """Solve the magnetic field equations for several load vectors.
 
-        The fields and the loads are arrays of shape (n, k).
+        The fields and the loads are arrays of shape (unknowns, load vectors).
 
         Raises
         ------
@@ -182,8 +184,8 @@ class FieldEquations:
     def compute_force_matrix(self, a: np.ndarray) -> np.ndarray:
         """Compute the matrix Q [N]; the force of fields with amplitudes q is ``q' Q q``.
 
-        The columns of ``a`` are the fields. Q has the shape (k, k), and ``a`` has the shape (n, k).
-        If the k fields are superposed with the amplitudes q (k,), the force is ``q' Q q``.
+        The columns of ``a`` (unknowns, k) are k fields. The matrix Q has the shape (k, k). If the k
+        fields are superposed with the amplitudes q (k,), the force is ``q' Q q``.
         """
         near = a[self.mover]
         return -0.5 * near.T @ (self.stretch @ near)
@@ -225,9 +227,9 @@ class ElementMatrices:
 def make_field_assembler(catch: CatchKeys, bore: BoreLattice) -> Callable[[float], FieldEquations]:
     """Make a function that assembles the field equations for a sphere at a height.
 
-    Stator and mover are meshed once, for the lattice ``bore``. The argument of the returned
-    function is the height [m] of the sphere's centre, which must be equal to the height of a
-    lattice point.
+    The stator and the mover are each meshed only once. ``bore`` is the regular lattice of cells in
+    the bore of the stator. The argument of the returned function is the height [m] of the sphere's
+    centre, which must be equal to the height of a lattice point.
     """
     mesh, sphere = mesh_mover(bore)
     coercivity = catch.remanence / (catch.mu_r * MU_0)
@@ -235,7 +237,8 @@ def make_field_assembler(catch: CatchKeys, bore: BoreLattice) -> Callable[[float
     r, y = moved.points
     edge = 1e-6 * bore.pitch
     rim = np.flatnonzero((r > bore.wall - edge) | (np.abs(y) > bore.half - edge))
-    # The force [N] is -1/2 a' stretch a, an integral over the air of the mover, in which g varies.
+    # The force [N] is -1/2 a' S a with the matrix S, named ``stretch``, and the field a.
+    # S is an integral over the air in the mover, where the displacement weight g varies.
     # The weight g is 1 in the sphere, 0 on the outline of the mover, and harmonic in between.
     basis = _make_basis(mesh)
     g, core = np.zeros(basis.N), np.unique(basis.element_dofs[:, sphere])
@@ -365,7 +368,7 @@ def _current_load(v: Any, w: Any) -> np.ndarray:
 class BoreLattice:
     """Regular lattice of cells in the bore in which the sphere moves.
 
-    All lengths are in metres. ``bottom`` is the height of the lowest line of the lattice. The
+    All lengths are in metres. ``bottom`` is the y coordinate of the lowest line of the lattice. The
     lattice consists of ``rows`` rows of cells with the height ``pitch``. Each row consists of
     ``columns`` cells from the axis to the radius ``wall``. The mover extends from ``half`` below to
     ``half`` above the sphere's centre. All element sizes are proportional to ``size``. ``radius``

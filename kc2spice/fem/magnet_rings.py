@@ -31,16 +31,18 @@ MUTUAL_DIVISIONS = 16  # number of Gauss points along the longer side, for mutua
 MIN_FILL = 0.02  # smallest conducting fraction of a section; rings below this fraction are omitted
 # distance from the axis, in cell widths, below which a section is evaluated at four points
 AXIS_CELLS = 4
-GAUSS_POINTS = (-0.5 / 3**0.5, 0.5 / 3**0.5)  # Gauss points, relative to the side of a section
+# distances of the Gauss points from the centre of a section, divided by the section's side length
+GAUSS_POINTS = (-0.5 / 3**0.5, 0.5 / 3**0.5)
 # Two sections are distant if (distance / longest side of both sections) is at least FAR_RATIO.
 # For distant sections, the distance between the centres replaces the mean distance.
 FAR_RATIO = 40.0
 DEFAULT_RINGS = 400  # default number of rings per body
-LAYERS_PER_DEPTH = 3.0  # layers of rings per skin depth at a surface, for DEFAULT_RINGS rings
+# skin depth, divided by the thickness of the outermost layer of a body with DEFAULT_RINGS rings
+LAYERS_PER_DEPTH = 3.0
 LAYER_GROWTH = 1.35  # thickness of a layer, relative to the next layer towards the surface
 # Largest number of rings in a sphere if DEFAULT_RINGS rings are requested.
-# All cells of a sphere have the same size. At a small skin depth, a sphere therefore needs more
-# rings than a body with thin layers of rings below its surface.
+# All cells of a sphere have equal sizes, whereas the surface layers of other bodies are thin.
+# At a small skin depth, a sphere therefore needs more rings than other bodies.
 MAX_SPHERE_RINGS = 1500
 MAX_RINGS = 3000  # largest number of rings; each dense matrix then occupies 70 MB
 # A model of current loops is compared with a finer division of the body into rings, at
@@ -54,8 +56,8 @@ def compute_mutual_inductance(
 ) -> np.ndarray:
     """Compute the mutual inductance [H] of two coaxial circles.
 
-    The circles have the radii ``r`` and ``other`` [m] and the heights ``z`` and ``height`` [m].
-    Arrays of different shapes are broadcast. The mutual inductance is infinite if the circles
+    The circles have the radii ``r`` and ``other`` [m] and the axial positions ``z`` and ``height``
+    [m]. Arrays of different shapes are broadcast. The mutual inductance is infinite if the circles
     coincide. Source: Maxwell, A Treatise on Electricity and Magnetism, art. 701.
     """
     from scipy.special import ellipe, ellipkm1
@@ -74,8 +76,8 @@ class RingCells:
 
     The sections have the width ``wide`` [m] and the height ``tall`` [m]. ``r``, ``z``, ``wide``,
     ``tall`` and ``filled`` are arrays of shape (n,). The centres of the sections are at the radii
-    ``r`` [m] and the heights ``z`` [m]. ``filled`` contains the fraction of each section that
-    carries current.
+    ``r`` [m] and the axial positions ``z`` [m]. ``filled`` contains the fraction of each section
+    that carries current.
     """
 
     r: np.ndarray
@@ -90,9 +92,9 @@ class RingCells:
 
         In the formula for two circles, the logarithm is replaced by its mean over both sections (J.
         C. Maxwell, Trans. R. Soc. Edinburgh 26 (1872) 729). The part of the formula without the
-        logarithm is evaluated between the centres of both sections. For sections near the axis, the
-        part without the logarithm is less smooth, so it is averaged over four points of each
-        section.
+        logarithm is evaluated for circles through the centres of both sections. For sections near
+        the axis, the part without the logarithm is less smooth, so it is averaged over four points
+        of each section.
         """
         r, z = self.r, self.z
         logs = self._mean_log_distances
@@ -130,11 +132,11 @@ class RingCells:
 def _compute_section_mutuals(
     r: np.ndarray, z: np.ndarray, other: np.ndarray, height: np.ndarray, logs: np.ndarray
 ) -> np.ndarray:
-    """Compute the mutual inductances [H] between n and m rectangular sections.
+    """Compute the mutual inductances [H] of each of n rings with each of m rings.
 
-    The mutual inductances of circles are corrected for the size of the sections. ``logs`` contains
-    the mean logarithms of the distance between points of two sections. Both ``logs`` and the
-    returned array have the shape (n, m).
+    The rings have rectangular sections. The mutual inductances of circles are corrected for the
+    size of the sections. ``logs`` contains the mean logarithms of the distance between points of
+    two sections. Both ``logs`` and the returned array have the shape (n, m).
     """
     r, z = r[:, None], z[:, None]
     same = (r == other) & (z == height)
@@ -235,8 +237,8 @@ def _divide_length(length: float, side: float, thinnest: float, surfaces: int) -
 class Winding:
     """Coaxial winding with uniformly distributed turns in a rectangular section.
 
-    The centre of the section is at ``radius`` [m] and the height ``y`` [m]. The section has the
-    dimensions ``width`` and ``height`` [m].
+    The centre of the section is at ``radius`` [m] and the axial position ``y`` [m]. The section has
+    the dimensions ``width`` and ``height`` [m].
     """
 
     radius: float
@@ -261,7 +263,7 @@ class Winding:
     def couple_circles(self, r: np.ndarray, z: np.ndarray) -> np.ndarray:
         """Compute mutual inductances [H] between the winding and coaxial circles.
 
-        The circles have the radius ``r`` [m] and the height ``z`` [m].
+        The circles have the radii ``r`` [m] and the axial positions ``z`` [m].
         """
         sides = np.array([self.width, self.height])
         counts = np.maximum(3, np.round(MUTUAL_DIVISIONS * sides / sides.max())).astype(int)
@@ -358,7 +360,7 @@ class LoopModel(EqualByContent):
 
 @dataclass(frozen=True, eq=False)
 class CurrentEffect(EqualByContent):
-    """Effect of a body's currents on the fluxes of coils, and its height derivative.
+    """Effect of a body's currents on the fluxes of coils.
 
     The last axis of both arrays is the height of the body. ``flux`` (c, c, heights) [H] is the
     reduction of the flux in the first coil for each ampere in the second coil. ``slope`` (c, c,
@@ -440,12 +442,12 @@ def reduce_to_loops(
 ) -> LoopModel:
     """Reduce a body of many conducting rings to a few current loops.
 
-    The loops are valid for heights of the body from ``low`` to ``high`` [m] and up to a
-    ``frequency`` [Hz]. The number of loops is the smallest number that satisfies the ``tolerance``.
-    The loops are modes in a subspace of the body's currents. The subspace contains the currents
-    that coils and magnets cause at several heights and frequencies. A magnet is represented by a
-    winding with a current of 1 A. The ``turns`` of this winding equal the magnet's surface current
-    in ampere. The coupling of a magnet to a loop is a flux [Wb].
+    The loops are valid for axial positions of the body from ``low`` to ``high`` [m], and for
+    frequencies up to ``frequency`` [Hz]. The number of loops is the smallest number that satisfies
+    the ``tolerance``. The loops are modes in a subspace of the body's currents. The subspace
+    contains the currents that coils and magnets cause at several heights and frequencies. A magnet
+    is represented by a winding with a current of 1 A. The ``turns`` of this winding equal the
+    magnet's surface current in ampere. The coupling of a magnet to a loop is a flux [Wb].
 
     Raises
     ------
@@ -476,7 +478,7 @@ def make_current_loop(
     high: float,
     tolerance: float,
 ) -> LoopModel:
-    """Make a loop model with a single loop, whose current distribution is constant.
+    """Make a loop model of a single loop, whose current flows in prescribed sheets.
 
     The current distribution consists of the current ``sheets`` and forms one loop.
     :func:`reduce_to_loops` describes the other arguments.
@@ -519,9 +521,9 @@ def _compute_current_basis(
     """Compute an orthonormal basis of the body's currents, and the basis error.
 
     ``speeds`` contains angular frequencies [rad/s]. The returned error is the largest relative
-    error of flux and force at any angular frequency in ``speeds``. The basis approximates the
-    currents that coils with the couplings ``mutual`` (c, heights, n) cause at every second angular
-    frequency in ``speeds``.
+    error of flux and force at any angular frequency in ``speeds``. The basis is computed from the
+    currents that coils with the couplings ``mutual`` (c, heights, n) cause at the angular
+    frequencies ``speeds[::2]``.
     """
 
     def compute_currents(speeds: np.ndarray, couplings: np.ndarray) -> np.ndarray:
@@ -554,9 +556,10 @@ def _compute_current_basis(
 
 
 def _fit_chebyshev(nodes: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Compute the Chebyshev coefficients of functions from their values at m points.
+    """Compute the Chebyshev coefficients of functions from values at Chebyshev points.
 
-    The coefficients have the shape (m, c, k), and the values the shape (c, m, k).
+    The returned coefficients have the shape (points, coils, loops), and ``values`` has the shape
+    (coils, points, loops).
     """
     count, _, k = values.shape
     table = values.transpose(1, 0, 2).reshape(nodes.size, -1)
@@ -568,9 +571,9 @@ def _fit_chebyshev(nodes: np.ndarray, values: np.ndarray) -> np.ndarray:
 def _fit_power_series(nodes: np.ndarray, values: np.ndarray, tolerance: float) -> np.ndarray:
     """Fit polynomials to values at Chebyshev points; return coefficients of powers.
 
-    The polynomials are fitted to ``values`` at m points. The coefficients have the shape (c, k,
-    degree + 1), and the values the shape (c, m, k). The degree is the smallest degree for which the
-    relative error of the slopes is below ``tolerance / 10`` for each coil.
+    ``values`` (coils, points, loops) contains mutual inductances at Chebyshev points. The returned
+    coefficients have the shape (coils, loops, degree + 1). The degree is the smallest degree for
+    which the relative error of the slopes is below ``tolerance / 10`` for each coil.
     """
     c = _fit_chebyshev(nodes, values)
     # the largest slope of the Chebyshev polynomial of degree n on the interval from -1 to 1 is n^2

@@ -204,7 +204,7 @@ def _list_components(values: Mapping[str, float], unit: str) -> str:
 
 
 def _scale_components(values: Mapping[str, float], exponent: int) -> str:
-    """Return components times a power of ten, as in a scene."""
+    """Return the text of tensor components after multiplication by a power of ten."""
     texts = []
     for name, value in values.items():
         plain = f"{value:g}"

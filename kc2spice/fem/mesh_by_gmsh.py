@@ -38,10 +38,10 @@ def extract_mesh(
     ``name`` is the file name that error messages state. Every edge of the mesh is halved ``splits``
     times.
 
-    ``size`` is the largest edge length of the elements in a CAD file, in the unit of the file.
-    ``picks`` defines groups of entities (points, curves, faces or solids) of a CAD file, keyed by
-    name. Each pick contains the ``dimension`` of the selected entities, points ``at`` that lie on
-    the entities, and two corners of a ``box`` around the entities.
+    For a CAD file, ``size`` is the largest edge length of the elements in the new mesh, in the unit
+    of the file. ``picks`` defines groups of entities (points, curves, faces or solids) of a CAD
+    file, keyed by name. Each pick contains the ``dimension`` of the selected entities, points
+    ``at`` that lie on the entities, and two corners of a ``box`` around the entities.
 
     The returned dictionary contains these arrays:
 
@@ -160,8 +160,8 @@ def _collect_arrays(gmsh: ModuleType, dimension: int, where: str) -> dict[str, n
 def _collect_corner_nodes(blocks: Iterable[CellBlock], width: int) -> np.ndarray:
     """Return the numbers of the corner nodes of all elements in several blocks.
 
-    The returned array has the shape (elements, width). The row of an element with fewer than
-    ``width`` corners repeats the last corner.
+    The returned array has a row for each element, and ``width`` columns. The row of an element with
+    fewer than ``width`` corners repeats the last corner.
     """
     rows = [np.empty((0, width), int)]
     for block in blocks:

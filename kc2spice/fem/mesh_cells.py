@@ -63,11 +63,11 @@ PRODUCT_ELEMENTS = {
 
 @dataclass(frozen=True, eq=False)
 class CellBlock:
-    """Block of elements of one kind, with l nodes each.
+    """Block of elements of one kind, such as triangles with six nodes.
 
-    ``nodes`` (elements, l) contains the node numbers of each element, with the corner nodes first.
-    ``corners`` is the number of corner nodes. ``local`` (l, d) contains the positions of the nodes
-    on the reference element of gmsh.
+    ``nodes`` (elements, nodes per element) contains the node numbers of each element, with the
+    corner nodes first. ``corners`` is the number of corner nodes. ``local`` (nodes per element, d)
+    contains the positions of the nodes on the reference element of gmsh.
     """
 
     nodes: np.ndarray
@@ -256,8 +256,8 @@ def make_quadratic_mesh(
     Returns
     -------
     mesh : mesh of quadrilaterals, hexahedra, triangles or tetrahedra.
-    number : array of shape (n,) with the mesh number of each node of the file, and -1 for nodes
-        that are not corners.
+    number : array of shape (n,); for each node of the file, its node number in the mesh, or -1 if
+        the node is not a corner.
     parent : array of shape (elements,) with the number of the original element in the file for each
         element of the mesh.
     """

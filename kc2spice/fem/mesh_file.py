@@ -165,9 +165,9 @@ def read_mesh(
 ) -> GroupedMesh:
     """Return the mesh of a mesh file, or a new mesh of a CAD file.
 
-    ``unit`` is the file's unit of length [m]. ``size`` is the largest edge length [m] of elements
-    in a CAD file. ``dimension`` is 3 for solids, and 2 for a plane mesh. Every edge of the mesh is
-    halved ``splits`` times.
+    ``unit`` is the file's unit of length [m]. For a CAD file, ``size`` is the largest edge length
+    [m] of the elements in the new mesh. ``dimension`` is 3 for solids, and 2 for a plane mesh.
+    Every edge of the mesh is halved ``splits`` times.
 
     ``picks`` defines groups of a CAD file, keyed by name. A group consists of entities of one
     ``dimension`` (0 to 3: points, curves, faces, solids). Each entity contains one of the points
@@ -291,8 +291,8 @@ def measure_extent(path: Path) -> np.ndarray:
 def _call_gmsh(function: str, path: Path, data: bytes, **request: Any) -> dict[str, np.ndarray]:
     """Call a function of :mod:`kc2spice.fem.mesh_by_gmsh` in a separate process.
 
-    The process reads a copy of the file ``path`` that contains ``data``. ``request`` contains the
-    other arguments of the called function.
+    ``data`` is the content of the file ``path``. The separate process reads a copy of this file,
+    which is written from ``data``. ``request`` contains the other arguments of the called function.
     """
     file = FILE_FORMATS[path.suffix.lower()][1]
 

@@ -39,8 +39,9 @@ ELEMENT_SHAPES = {
 TETRAHEDRON_FACES = ((0, 2, 1), (0, 1, 3), (1, 2, 3), (2, 0, 3))
 MAX_QUOTE_LENGTH = 60  # largest number of characters that an error message quotes of a line
 MAX_GROUPS = 1000  # largest number of groups from one array of integer cell data
-# Largest distance of a node from its position for straight edges, relative to the longest edge.
-# For a semicircular edge, this relative distance is 0.5.
+# Largest permitted distance between a node and its position in an element with straight edges,
+# divided by the length of the longest edge.
+# The middle node of a semicircular edge has a relative distance of 0.5 from the straight edge.
 MAX_BULGE = 0.5
 _INCLUDE_LINE = {
     "abaqus": re.compile(
@@ -419,9 +420,9 @@ def _order_nodes(
 ) -> np.ndarray:
     """Reorder the nodes of elements to the node order of gmsh.
 
-    ``nodes`` has the shape (elements, l). The order of nodes on edges and faces differs between
-    programs. The returned order minimises the sum of the squared distances between the nodes and
-    the node positions of elements with straight edges.
+    ``nodes`` has the shape (elements, nodes per element). The order of nodes on edges and faces
+    differs between programs. The returned order minimises the sum of the squared distances between
+    each node and its position in an element with straight edges.
     """
     extra = nodes[:, corners:]
     if not extra.size:

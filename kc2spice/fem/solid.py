@@ -70,10 +70,10 @@ class Solid:
 
     Element ``k`` has the material ``materials[owner[k]]``. The tensors of the materials are already
     rotated to the poling direction. The shape functions have the degree ``order``, which is 2, or
-    optionally 1 on hexahedra. Reports list materials with the same name as one material.
-    ``numbers`` (l, elements) contains the node numbers of each element. If ``numbers`` is None,
-    scikit-fem numbers the nodes. Collapsed edges or faces require ``numbers``, because all nodes of
-    a collapsed edge or face have the same number.
+    optionally 1 on hexahedra. Reports list all materials of one name as a single material.
+    ``numbers`` (nodes per element, elements) contains the node numbers of each element. If
+    ``numbers`` is None, scikit-fem numbers the nodes. Collapsed edges or faces require ``numbers``,
+    because all nodes of a collapsed edge or face have the same number.
 
     Raises
     ------
@@ -185,10 +185,10 @@ class Solid:
 
     @cached_property
     def _prescribed_dofs(self) -> skfem.Dofs | None:
-        """scikit-fem degrees of freedom with prescribed node numbers, or None.
+        """Numbering of the degrees of freedom if ``numbers`` is stated, otherwise None.
 
-        The field :attr:`numbers` prescribes the node numbers. If ``numbers`` is None, the value is
-        None, and scikit-fem numbers the nodes.
+        The field :attr:`numbers` prescribes the node numbers. If ``numbers`` is None, scikit-fem
+        numbers the nodes.
         """
         if self.numbers is None:
             return None
@@ -241,8 +241,9 @@ def list_strain_operators(
     """Yield shape functions N, strain operators B and gradients G at each point.
 
     At each integration point of ``basis``, N (elements, l) contains the values of the l local shape
-    functions. G (elements, 3, l) contains the gradients of the shape functions. The array B of
-    shape (elements, 6, l * d) maps nodal displacements with d components to strains.
+    functions. G (elements, 3, l) contains the gradients of the shape functions. In elements with l
+    nodes, the array B of shape (elements, 6, l * d) maps nodal displacements with d components to
+    strains.
     """
     local = [function[0] for function in basis.basis]
     d, axes = solid.component_count, solid.axis_indices

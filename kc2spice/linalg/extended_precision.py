@@ -54,9 +54,9 @@ class ExactMatrix:
 def _slice_matrix(P: np.ndarray, bits: int) -> Iterator[np.ndarray]:
     """Split a matrix into slices of few bits, whose products are exact.
 
-    In each column, the first slice contains the leading ``bits`` bits of all entries, counted from
-    the largest entry. Each further slice contains the next ``bits`` bits. The product of two slices
-    is exact in double precision.
+    In the first slice, each entry is rounded to ``bits`` bits, counted from the leading bit of the
+    largest entry in its column. Each further slice contains the next ``bits`` bits. The product of
+    two slices is exact in double precision.
     """
     for _ in range(SLICE_COUNT):
         top = np.abs(P).max(axis=0, initial=0.0).astype(float)

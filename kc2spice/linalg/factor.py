@@ -28,9 +28,10 @@ from kc2spice.linalg.solver import (
 
 USABLE_MEMORY_SHARE = 0.9
 # Number of entries of the LU factors of n equations, divided by n sqrt(bandwidth), for solids.
-# For chains, the number of LU entries divided by n sqrt(bandwidth) is 4; for plates, it is 9.
+# The LU factors of a chain of elements have 4 n sqrt(bandwidth) entries for n equations.
+# The LU factors of a plate have 9 n sqrt(bandwidth) entries for n equations.
 FILL_FACTOR = 34.0
-REAL_BYTES = 12.0  # memory [B] of a real entry of a factor: its value and half of its index
+REAL_BYTES = 12.0  # memory [B] of a real entry of a factor: 8 for its value, 4 for shared indices
 ENTRY_BYTES = 24.0  # memory [B] of a complex entry of a factor: its value, index and work space
 
 
@@ -41,7 +42,7 @@ def require_memory(need: float, purpose: str, *, where: str, hint: str) -> None:
 
     Raises
     ------
-    UsageError : less memory than ``need`` is free.
+    UsageError : the free memory is less than ``need``.
     """
     free = USABLE_MEMORY_SHARE * find_available_bytes()
     if need > free:
@@ -107,7 +108,8 @@ QUASI_DEFINITE_UNKNOWNS = 20_000
 # Smallest number of unknowns for which nested dissection saves more time than it takes.
 DISSECTION_UNKNOWNS = 5000
 _LINE_ELEMENT = 1  # gmsh's number of the element type with two nodes
-# number of stored elimination orders, because a reduction uses one or two sparsity patterns
+# Number of stored elimination orders.
+# Two stored orders suffice, because a reduction uses one or two sparsity patterns.
 _STORED_ORDERS = 2
 _orders: dict[bytes, np.ndarray | None] = {}
 

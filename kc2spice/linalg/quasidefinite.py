@@ -1,6 +1,7 @@
-"""Factors of large sparse quasi-definite matrices, as of piezoelectric solids.
+"""Factors of large sparse quasi-definite matrices.
 
-A quasi-definite matrix ``[A B; B' -C]`` has positive definite blocks A and C. For any order of its
+A quasi-definite matrix ``[A B; B' -C]`` has positive definite blocks A and C. In models of
+piezoelectric solids, A belongs to the displacements, and C to the potentials. For any order of its
 unknowns, a quasi-definite matrix has a factorisation ``L D L'`` without pivoting. The diagonal
 matrix D has the entry 1 for unknowns of block A, and -1 for unknowns of block C. The signs in D are
 prescribed, so a successful factorisation proves that A and C are positive definite.
@@ -26,9 +27,10 @@ import scipy
 from scipy.linalg.blas import dsyrk, dtrsm
 from scipy.linalg.lapack import dpotrf
 
-# Pairs of a number of pivots and the largest permitted share of zeros in supernodes up to this
-# size. The shares were chosen by timing. Zeros cost operations, and many small supernodes cost
-# Python time.
+# Largest permitted share of zeros in a supernode, as pairs (number of pivots, share).
+# A pair applies to supernodes with at most the stated number of pivots.
+# The shares were chosen by timing. Zeros cost operations, and many small supernodes cost Python
+# time.
 ZERO_SHARES = ((48, 1.0), (160, 0.4), (500, 0.12), (np.inf, 0.05))
 STRIP_WIDTH = 64  # largest number of Schur-complement columns that are added in one step
 
@@ -76,7 +78,8 @@ class QuasiDefiniteFactor:
     group : (n,) array
         Group number of each unknown; the columns of one group have the same pattern.
     order : (n,) array
-        Elimination order for which L is sparse, with consecutive unknowns in each group.
+        Elimination order for which L is sparse. The unknowns of each group are consecutive in the
+        elimination order.
 
     Raises
     ------

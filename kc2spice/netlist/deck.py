@@ -450,7 +450,10 @@ class Deck:
         return replace(self, tree=tree, text=Printer().format_file(tree), **changes)
 
     def with_options(self, options: Mapping[str, str], reason: str) -> Deck:
-        """Return the deck with new simulator options and the reason for their values."""
+        """Return a copy of the deck with new values of some simulator options.
+
+        ``reason`` is the reason for the new values, which the copy stores with each new option.
+        """
         unchanged = tuple(option for option in self.options if option.key not in options)
         new = tuple(Option(key, value, reason) for key, value in options.items())
         return replace(self, options=unchanged + new)

@@ -48,9 +48,9 @@ def translate_deck(deck: Deck, dialect: str) -> Deck:
 def write_dialect_files(deck: Deck, dialect: str) -> dict[str, str]:
     """Return the texts of a deck's files in a dialect or Verilog-A, keyed by name.
 
-    A part that cannot be a Verilog-A module, such as a pulse generator, remains a library, and the
-    file ``verilog-a.txt`` states the reason. The testbench ``NAME_osdi.cir`` runs the compiled
-    modules in ngspice.
+    A part that cannot be a Verilog-A module, such as a pulse generator, is written only as a SPICE
+    library. The file ``verilog-a.txt`` states why such parts cannot be Verilog-A modules. The
+    testbench ``NAME_osdi.cir`` runs the compiled modules in ngspice.
 
     Raises
     ------

@@ -301,7 +301,10 @@ class _CircuitTranslator:
         return parasitic(element) if parasitic else (element,)
 
     def _with_temperature(self, element: Element) -> Element:
-        """Return the element with the temperature of its model (PSpice, ``T_ABS``)."""
+        """Copy ``T_ABS``, the temperature of a PSpice model, to an element of this model.
+
+        A resistor whose model is at absolute zero becomes noiseless instead.
+        """
         names = (element.model, *element.values[:1])
         models = filter(None, (self.models.get(name.lower()) for name in names))
         for model in map(_get_model_parameters, models):

@@ -66,7 +66,7 @@ class Scope:
         return result
 
     def select_elements(self, kinds: str) -> dict[str, Element]:
-        """Return the elements with certain letters, keyed by lower-case name."""
+        """Return the elements with the type letters ``kinds``, keyed by lower-case name."""
         return {key: item for key, item in self.elements_by_key.items() if item.kind in kinds}
 
     def find_subcircuit(self, name: str) -> Scope | None:
@@ -203,7 +203,8 @@ def conducts_to_ground(scope: Scope, enclosing: frozenset[str] = frozenset()) ->
     """Return whether an element of a subcircuit carries current into global ground.
 
     Elements of nested instances are included. A control voltage relative to ground carries no
-    current. ``enclosing`` contains the positions of the subcircuits that contain the instance.
+    current. ``enclosing`` contains the file and line of the definition of each enclosing
+    subcircuit.
     """
     for element in scope.elements:
         nodes = element.lower_case_nodes[: _CONDUCTING_NODES.get(element.kind)]

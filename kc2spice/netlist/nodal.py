@@ -1,4 +1,4 @@
-"""Frequency response of the syntax tree of a linear circuit, by nodal analysis.
+"""Frequency response of a linear circuit, by nodal analysis of its syntax tree.
 
 The equations follow only from the elements of the tree and from the parameters of an instance. The
 response is therefore independent of the model from which the circuit was generated (C.-W. Ho, A.

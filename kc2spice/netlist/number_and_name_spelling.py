@@ -13,7 +13,7 @@ from kc2spice.core.errors import MissingToolError, UsageError
 
 # Decay rate [1/s] of the charge on a floating node of a netlist.
 # Each node that stores a charge has a leakage current, which is ``LEAK_RATE`` times the charge.
-# At an operating point, the leakage currents sum to zero if the stored charges sum to zero.
+# At an operating point, the leakage currents of a floating node sum to zero, and so do its charges.
 # Leakage is negligible: its ratio to the node's capacitive current is 1.6e-10 Hz / frequency.
 LEAK_RATE = 1e-9
 _PLAIN_EXPONENTS = str.maketrans("²³", "23")

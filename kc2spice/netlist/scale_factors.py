@@ -48,9 +48,8 @@ def read_parameter(text: str) -> float:
 def format_with_prefix(text: str) -> str:
     """Write a number with a prefix such as ``u`` if the prefix keeps the exact value.
 
-    The function compares the values that ngspice reads with and without the prefix. If the values
-    differ, the number is returned unchanged. Names, plain integers and other texts, such as ``V1``
-    and ``12``, are returned unchanged.
+    If ngspice reads different values with and without the prefix, the number is returned unchanged.
+    Names, plain integers and other texts, such as ``V1`` and ``12``, are returned unchanged.
 
     Examples
     --------

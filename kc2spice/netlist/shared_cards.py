@@ -1,4 +1,4 @@
-"""Functions that attach comments to cards, and cards that many parts contain."""
+"""Cards that many parts contain, and functions that attach comments to cards."""
 
 from __future__ import annotations
 

@@ -113,8 +113,9 @@ class Subcircuit:
     ``title`` is ``NAME: description``. ``file`` is the name of the library file if it differs from
     ``NAME.lib``. ``no_module`` is the reason why the part cannot be a Verilog-A module; it is empty
     if a module is possible. ``reduction`` is None if the part has no reduced model. ``source`` is
-    the text of a library by another author; the text of other libraries is printed from
-    ``circuit``. The first ``header_lines`` comments above the ``.subckt`` are the header.
+    the text of a library by another author, which is written unchanged. If ``source`` is empty, the
+    text of the library is printed from ``circuit``. The first ``header_lines`` comments above the
+    ``.subckt`` are the header.
     """
 
     name: str

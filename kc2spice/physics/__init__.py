@@ -1,7 +1,7 @@
 """Part types that are declared by their energies, losses and states.
 
-From the expressions of energies, losses and states, the program generates netlists, laws of the
-independent integrator, and checks.
+From the expressions of energies, losses and states, the program generates netlists, checks, and the
+equations for the independent integrator.
 """
 
 from kc2spice.physics.declaration import Declaration as Declaration

@@ -59,7 +59,7 @@ _HEIGHT_LIMITS = {
 
 
 def _write_coenergy(height: str) -> str:
-    """Return the expression of the coenergy [J] in both currents and the height."""
+    """Return the coenergy [J] as an expression of the two currents and the height."""
     terms = []
     for table, (a, b) in zip(_TABLE_NAMES, CURRENT_EXPONENTS.values(), strict=True):
         terms.append(f"{table}({height})*i1^{a}*i2^{b}")
@@ -102,10 +102,10 @@ def declare_resistive_coils(height: str = _RAISED_HEIGHT) -> Declaration:
 def add_heat_pin(declared: Declaration, coefficient: float, reference: float) -> Declaration:
     """Add a heat pin to the declaration of the two coils around a moving magnet.
 
-    The temperature of the heat pin sets the resistances of the coils. Signals of the declaration
-    are coil currents: the voltage across the coils, divided by the resistance of the coils at the
-    reference temperature. Each signal is therefore divided by the ratio of the resistances at the
-    temperature of the heat pin and at the reference temperature.
+    The temperature of the heat pin sets the resistances of the coils. Each signal of ``declared``
+    is the coil current at the reference temperature: the voltage across both coils, divided by
+    their resistance at the reference temperature. Each signal is therefore divided by the ratio of
+    the resistances at the temperature of the heat pin and at the reference temperature.
     """
     result = declared.with_heat_pin(coefficient, reference)
     if not declared.signals:
@@ -154,11 +154,12 @@ def _declare_force(
 
 
 def _choose_declaration_options(height: str, names: tuple[str, ...]) -> dict[str, Any]:
-    """Return the declaration arguments that depend on the purpose: law or netlist.
+    """Return the declaration arguments that differ between equations and netlist.
 
-    The declaration of a law for the integrator has the additional parameters ``raised``, ``y_min``
-    and ``y_max``, and the limits of the height in the force table. The declaration of a netlist has
-    a velocity pin and the option ``metered=False``.
+    The declaration for the integrator's equations has the additional parameters ``raised``,
+    ``y_min`` and ``y_max``. In the declaration for the integrator, the field ``limits`` keeps the
+    height between ``y_min`` and ``y_max``, the ends of the force table. The declaration for the
+    netlist has a velocity pin and the option ``metered=False``.
     """
     if height == _RAISED_HEIGHT:
         return {
@@ -176,7 +177,7 @@ def _make_unset_parameters(*names: str) -> tuple[Param, ...]:
 def tabulate_coenergy(table: MagnetostaticTable, points: int) -> dict[str, TableFunction]:
     """Return tables of the coenergy and its slopes versus height, keyed by name.
 
-    Each table has ``points`` heights.
+    ``points`` is the number of equally spaced heights in each table.
     """
     result = {}
     low, high = float(table.y[0]), float(table.y[-1])

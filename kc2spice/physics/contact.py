@@ -144,8 +144,7 @@ def declare_contact(
     angle of a groove in degrees.
 
     A pressure law is fitted for one radius of the sphere. For a sphere whose radius differs from
-    the fitted radius, the overlap is multiplied by ``share``, the radius divided by the fitted
-    radius.
+    the fitted radius, the overlap is multiplied by ``share = radius / fitted radius``.
     """
     high, low = ("a",) if rigid[0] else ports, "bottom" if rigid[1] else "b"
     constants = {name: repr(value) for name, value in law.law_constants.items() if name != "eps"}

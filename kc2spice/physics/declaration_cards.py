@@ -192,7 +192,7 @@ def _list_inner_voltages(
 
 
 def _list_laws(declaration: Declaration, linkages: FluxLinkages | None) -> tuple[Tree, ...]:
-    """Return the laws of forces and motion voltages; reject tables in all other laws.
+    """Return the laws that may contain tables: forces and voltages induced by motion.
 
     Raises
     ------
@@ -372,10 +372,10 @@ def _find_single_voltage(tree: Tree) -> tuple[str, ...]:
 def _write_mass(declaration: Declaration, b: Branch) -> Iterator[Line]:
     """Yield the cards of a mass, whose velocity is the voltage of a capacitor.
 
-    The capacitance represents the mass. The position is the integral of the velocity. If the
-    velocity has no pin, a node voltage represents the force at the pins, and a voltage source
-    carries the force as a current. The current is needed, because the tolerance of ngspice is
-    tighter for currents than for voltages.
+    The capacitance represents the mass. The position is the integral of the velocity. If no pin
+    voltage represents the velocity, the force at the pins is both a node voltage and the current of
+    a 0 V source. The 0 V source is needed, because the tolerance of ngspice is tighter for currents
+    than for voltages.
     """
     n, base, speed = b.name, declaration.base or b.minus, declaration.speeds.get(b.plus)
     v, place = (speed, b.plus) if speed else (f"speed_{n}", f"place_{n}")
@@ -498,7 +498,7 @@ def get_meter_name(branch: Branch) -> str:
 
 
 def get_state_node(name: str) -> str:
-    """Return the node whose voltage is a state, in SI units."""
+    """Return the node whose voltage equals the value of a state in SI units."""
     return f"state_{name}"
 
 
@@ -649,7 +649,8 @@ def _write_stored_quantity(
     amount = substitute_names(declaration.replace_power_series(stored), nodes)
     # When ngspice differentiates a quotient, it adds 1e-32 to the square of the divisor.
     # Derivatives of quotients with a small divisor are therefore inaccurate.
-    # The card of a charge contains no division: a parameter with the value 1/scale is its factor.
+    # To avoid a division, the card of a charge multiplies the charge by a parameter with the value
+    # 1/scale.
     if not b.is_flow:
         yield Parameters({f"per_{b.name}": f"{{1/scale_{b.name}}}"})
         amount = BinaryOperation("*", Name(f"per_{b.name}"), amount)

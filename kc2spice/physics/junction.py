@@ -72,11 +72,12 @@ class Junction(Device):
     """Law of a diode from ``anode`` to ``cathode``: junction and series resistance.
 
     At the junction voltage ``v``, the current is ``i(v)`` plus the time derivative of the charge
-    ``q(v)``. The equations contain the parameter names of SPICE::
+    ``q(v)``. The equations contain the parameter names of SPICE. Breakdown begins at the junction
+    voltage ``-VB``, where VB is chosen so that ``i(-BV) = -1 mA``::
 
         i = IS (exp(v/(N VT)) - 1) + gmin v                   for v > -3 N VT
         i = -IS (1 + (3 N VT/(e v))^3) + gmin v               in reverse
-        i = -IS exp(-(v + VB)/(N VT)) + gmin v                for v < -VB, where i(-BV) = -1 mA
+        i = -IS exp(-(v + VB)/(N VT)) + gmin v                for v < -VB
         q = TT i + integral of CJO/sqrt(1 - v/VJ)             up to VJ/2, then its tangent
 
     The series resistance may be zero.

@@ -114,8 +114,8 @@ class DeclaredLaw(Device):
     def _pin_kinds(self) -> dict[str, str]:
         """Kind of each pin, keyed by pin name.
 
-        The kind is ``signal`` for outputs. A pin that only measured branches use also has the kind
-        ``signal``, if no expression contains the rates of these branches.
+        The kind is ``signal`` for outputs. If a pin belongs only to branches without a flow, and no
+        expression contains the rates of these branches, the kind of the pin is also ``signal``.
         """
         d = self.declaration
         result = dict.fromkeys(d.domains, "signal")
@@ -136,7 +136,8 @@ class DeclaredLaw(Device):
     def flows(self) -> tuple[Flow, ...]:
         """Flow of each branch, from its pin ``plus`` to its pin ``minus``.
 
-        Measured branches carry no flow.
+        Branches that only measure a quantity between two pins have no flow, and are not in the
+        result.
         """
         return tuple(Flow(b.plus, b.minus, b.less) for b in self.declaration.acting_branches)
 
@@ -144,7 +145,7 @@ class DeclaredLaw(Device):
     def storing_flow_indices(self) -> tuple[int, ...]:
         """Indices of the flows that include the time derivative of a stored quantity.
 
-        These flows belong to the acting branches that store a charge or a momentum.
+        The stored quantity is the charge or the momentum of the branch.
         """
         return tuple(map(self.declaration.acting_branches.index, self._storage_branches))
 
@@ -309,11 +310,11 @@ class DeclaredLaw(Device):
         return result[:count], result[count:].reshape(count, e.size)
 
     def evaluate(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Return the outputs of the law and their derivatives at the inputs ``e``."""
+        """Return the outputs of the law and their derivatives with respect to the inputs."""
         return self._evaluate_with_slopes(self._flow_function, e, mode)
 
     def evaluate_storage(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Return the stored quantities and their derivatives at the inputs ``e``.
+        """Return the stored quantities and their derivatives with respect to the inputs.
 
         The stored quantities are, in this order: the fluxes of current branches, the states, and
         the charges or momenta of other branches.
@@ -343,7 +344,7 @@ class DeclaredLaw(Device):
         return flags
 
     def evaluate_guards(self, e: np.ndarray, mode: Any) -> np.ndarray:
-        """Evaluate the guard functions, which are positive in a switching state.
+        """Evaluate the guard functions; each one is positive until the device switches.
 
         The guard functions are the arguments of all functions with a kink. Their signs are chosen
         so that all guard functions are positive in the switching state ``mode``.
@@ -396,11 +397,11 @@ class DeclaredLaw(Device):
                 )
 
     def energy(self, e: np.ndarray, mode: Any) -> float:
-        """Return the energy [J] that the part stores at the inputs ``e``."""
+        """Return the energy [J] that the part stores for the input values ``e``."""
         return float(self._evaluate(self._energy_function, e, mode)[0])
 
     def loss(self, e: np.ndarray, mode: Any) -> float:
-        """Return the power [W] that the part dissipates at the inputs ``e``."""
+        """Return the power [W] that the part dissipates for the input values ``e``."""
         if self.declaration.network_loss == ZERO:
             return 0.0
         return float(self._evaluate(self._energy_function, e, mode)[1])

@@ -155,7 +155,7 @@ class Lookups:
         return BinaryOperation("-", f, BinaryOperation("*", weight, b))
 
     def split_law(self, law: Tree) -> list[Tree]:
-        """Split a law into terms, and replace its tables by labels of lookups.
+        """Split a law into terms, and replace its tables by the names of their lookups.
 
         One returned term contains all lookups that occur in several laws; the netlist computes the
         values of these lookups as node voltages. For each lookup that occurs in no other law, the
@@ -188,15 +188,16 @@ def has_tables(tree: Tree, tables: Iterable[str]) -> bool:
 
 
 def compute_smooth_lookup(values: np.ndarray) -> tuple[tuple[Number, ...], tuple[Number, ...]]:
-    """Return points of two piecewise linear functions that combine to a smooth lookup.
+    """Return the points of two functions that together define a smooth table lookup.
 
-    The function ``f`` interpolates the equally spaced ``values``. The function ``b`` interpolates
-    half of the second differences of ``values``. The position within a cell is t from 0 to 1, and
-    ``w = t (1 - t)``. The combination ``f - w b`` is the weighted mean of two parabolas, each
-    through three neighbouring values (Overhauser 1968). The slope of ``f - w b`` is continuous, and
-    its interpolation error is of the third order in the cell size. A cubic polynomial extrapolates
-    one value beyond each end, so that the interpolation error at the ends is also of the third
-    order. Beyond the ends, ``f - w b`` is constant.
+    The functions ``f`` and ``b`` are piecewise linear. The function ``f`` interpolates the equally
+    spaced ``values``. The function ``b`` interpolates the second differences of ``values``,
+    multiplied by 1/2. The position within a cell is t from 0 to 1, and ``w = t (1 - t)``. The
+    combination ``f - w b`` is the weighted mean of two parabolas, each through three neighbouring
+    values (Overhauser 1968). The slope of ``f - w b`` is continuous, and its interpolation error is
+    of the third order in the cell size. A cubic polynomial extrapolates one value beyond each end,
+    so that the interpolation error at the ends is also of the third order. Beyond the ends, ``f - w
+    b`` is constant.
 
     Redundant points of ``b`` are omitted, because the time that ngspice needs to read a table is
     proportional to the square of the number of points. A point is omitted if the omission changes

@@ -54,7 +54,7 @@ class LossHeatLaw(laws.Device):
         return (laws.Flow(HEAT, AMBIENT),)
 
     def evaluate(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Return the heat flow [W] into ``heat`` and its derivatives at the inputs ``e``."""
+        """Return heat flow [W] into ``heat`` and its derivatives with respect to ``e``."""
         slope = -2 * np.array([*self.weights, 0.0]) * e
         return np.array([slope @ e / 2]), slope[None]
 

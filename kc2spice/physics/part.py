@@ -258,7 +258,8 @@ class DeclaredPart(PartType[KeysT]):
             positions = known.keys() & set(list_names(d.displacement_branches))
             forces = map(d.derive_direct_flow, d.acting_branches)
             for tree in dict.fromkeys(chain.from_iterable(map(find_kinks, forces))):
-                # A kink of a force is an impact only if the kink depends on a displacement.
+                # A kink of a force law is an impact only if a displacement determines where the
+                # kink occurs.
                 if positions.isdisjoint(find_names(tree)):
                     continue
                 met = evaluate_tree(tree, d.compute_parameter_values(part.keys) | known) > 0

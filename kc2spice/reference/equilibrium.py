@@ -94,7 +94,7 @@ class Interval:
         return f
 
     def sum_term_sizes(self, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return sums of the absolute values of all terms in entries of ``f`` and ``g``.
+        """Return the sum of term magnitudes for each entry of ``f`` and of ``g``.
 
         Both arrays of sums have the shape (n, nt). The rounding errors of ``f`` and ``g`` are
         proportional to these sums.
@@ -133,7 +133,7 @@ class Interval:
         return [device.inputs @ X for device in self.system.devices]
 
     def compute_guards(self, t: float, z: np.ndarray) -> np.ndarray:
-        """Return all devices' guards, which are positive in the current switching states."""
+        """Return all guard functions; each is positive until its device switches."""
         devices_with_inputs = zip(
             self.system.devices, self.compute_device_inputs(t, z), self.modes, strict=True
         )
@@ -277,8 +277,8 @@ def solve_dc(system: System, source: str, values: np.ndarray) -> dict[str, np.nd
     """Compute the equilibrium for each of the ``values`` of a source.
 
     Each solution starts from the solution at the previous value. Each array in the result contains
-    one entry for each value. The array ``sweep`` contains the values of the source. The other
-    arrays contain the results of :func:`solve_operating_point`.
+    one entry for each value of the swept source. The array ``sweep`` contains the values of the
+    source. The other arrays contain the results of :func:`solve_operating_point`.
     """
     z, result = None, []
     for value in np.asarray(values, dtype=float):
@@ -322,7 +322,7 @@ class _StaticEquations:
         self.into = np.array([*map(attrgetter("into"), values)]).reshape(-1, n).T
 
     def make_interval(self, z: np.ndarray) -> Interval:
-        """Make an interval with the switching states of all devices at the unknowns ``z``.
+        """Make a time interval with the switching states that follow from unknowns ``z``.
 
         The switching state of a device, such as contact or no contact, is its mode.
         """

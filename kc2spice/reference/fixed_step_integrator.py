@@ -2,16 +2,17 @@
 
 A body with n unknowns is connected to other parts at p ports (`PortBody`). In each stage of the
 method, the unknowns x of the body solve ``P(s) x = r + B a`` with port inputs a, input matrix B and
-the effect r of earlier steps. The matrix ``P(s)`` contains the body's equations at the rate ``s``
-of the stage. The outputs are ``y = H(s) a + C P(s)^-1 r``, where ``H(s)`` is the transfer matrix of
-the ports.
+the effect r of earlier steps. The matrix ``P(s)`` contains the body's equations at the value
+``s = 1/(gamma h)``, with the time step h and ``gamma = 1 - 1/sqrt(2)``. The outputs are ``y = H(s)
+a + C P(s)^-1 r``, where ``H(s)`` is the transfer matrix of the ports.
 
 The matrix ``P(s)`` is factorised only once for all steps. Each stage then needs one back
 substitution, and the solution of a small nonlinear system. In the nonlinear system, p linear
 relations represent the body, and all other parts have their laws.
 
 The method of Alexander (SIAM J. Numer. Anal. 14, 1006, 1977) has two stages and second-order
-accuracy. The method is L-stable: motions too fast for the time step decay instead of ringing::
+accuracy. The method is L-stable: a motion that is too fast for the time step decays and does not
+ring. The equations of the two stages are::
 
     g(z_1) = g(z_0) + gamma h f(z_1),                gamma = 1 - 1/sqrt(2),  s = 1/(gamma h)
     g(z)   = g(z_0) + (1 - gamma) h f(z_1) + gamma h f(z)
@@ -138,8 +139,8 @@ def make_static_solver(pencil: Any) -> Callable[[np.ndarray], np.ndarray]:
 class FixedStepResult:
     """Result of a fixed-step run: times, waveforms and switching states of devices.
 
-    ``time`` and each waveform have the shape (nt,). Currents that charge a device are not among the
-    waveforms. Bodies have no modes.
+    ``time`` and each waveform have the shape (nt,). The waveforms exclude currents and forces that
+    contain the rate of change of a stored charge or momentum. Bodies have no modes.
     """
 
     time: np.ndarray
@@ -221,7 +222,7 @@ class _StepIntegrator:
         return Interval(self.system, list(self.modes), t)
 
     def get_device_modes(self, interval: Interval) -> tuple[Any, ...]:
-        """Return the switching states in an interval of all devices that are not bodies.
+        """Return the switching states of all devices except bodies in one time interval.
 
         The mode of a device states which pieces of its piecewise equations apply.
         """
@@ -274,7 +275,7 @@ class _StepIntegrator:
         )
 
     def _switch_devices(self, es: list[np.ndarray], count: int) -> bool:
-        """Switch the state of each device whose switching function, a guard, is negative.
+        """Switch the state of each device that has a negative guard function.
 
         Return whether a mode changed.
         """

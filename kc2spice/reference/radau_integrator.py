@@ -462,8 +462,8 @@ def _find_triggered_guard(
     """Find a guard function that a jump of algebraic unknowns makes negative.
 
     ``left`` contains the values of the guard functions before the jump. In ``left``, the value of a
-    guard function that has just changed the mode of a device is nan. Return the index of the guard
-    function, or None if no guard function becomes negative.
+    guard function that has just changed the mode of a device is nan. Return the index of the first
+    guard function that becomes negative, or None if none does.
     """
     guards = interval.compute_guards(t, interval.solve_algebraic(t, z))
     if guards.shape != left.shape:

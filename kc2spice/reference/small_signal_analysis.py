@@ -97,9 +97,10 @@ class LinearisedSystem:
         )
 
     def respond(self, w: complex, amplitudes: np.ndarray) -> np.ndarray:
-        """Return the output amplitudes for sources that vary as ``amplitudes * exp(w t)``.
+        """Return the output amplitudes for the complex frequency ``w`` of all sources.
 
-        ``w`` [1/s] is complex, and the result has the shape (ny,).
+        The sources vary as ``amplitudes * exp(w t)``. For sines of the frequency f, the complex
+        frequency ``w`` [1/s] is ``2j * pi * f``. The result has the shape (ny,).
         """
         X = self._solve_unknowns(w, amplitudes)
         return np.asarray(self.C0 @ X + w * (self.C1 @ X))
@@ -113,10 +114,10 @@ class LinearisedSystem:
         return self._compute_term_sizes(slice(None), X[:, None], np.array([w]))[:, 0]
 
     def _solve_unknowns(self, w: complex, amplitudes: np.ndarray) -> np.ndarray:
-        """Return amplitudes of unknowns, sources and source derivatives for ``exp(w t)``.
+        """Return the amplitudes of unknowns, sources and source derivatives.
 
-        The array ``X`` has the shape (N,). At the time t, the sources are ``amplitudes * exp(w t)``
-        with the complex rate ``w`` [1/s].
+        The returned array has the shape (N,). The sources are ``amplitudes * exp(w t)`` at the time
+        t, with the complex frequency ``w`` [1/s].
         """
         n, sources = self.system.size, np.concatenate((amplitudes, w * amplitudes))
         P = w * self.G - self.F
@@ -264,9 +265,9 @@ class LinearisedSystem:
         ny outputs.
 
         The amplitudes of the modes, ``a' = rates a + d0 u + d1 du/dt``, are ``-d0 u / rates - (d0 /
-        rates^2 + d1 / rates) du/dt`` for a ramp. At the beginning of a steep ramp, the free motion
-        almost cancels the output. The small difference remains accurate, because output and free
-        motion are sums over the same modes.
+        rates^2 + d1 / rates) du/dt`` for a ramp. At the beginning of a steep ramp, the free
+        response almost cancels the response to the ramp. The small sum of both responses is
+        accurate, because both responses are sums over the same modes.
         """
         n, k = self.system.size, len(self.system.sources)
         rows, cols = self.rows, self.system.differential
@@ -407,12 +408,12 @@ class Modes:
     corresponding entry of ``terms`` is the sum of the absolute values of the contributions of all
     unknowns. ``start`` contains the amplitudes at t = 0. ``level`` is the static solution for the
     values of the sources at t = 0. ``static_gains`` are the responses to constant sources.
-    ``slope_responses`` are the additional responses to a source that is a straight line, per slope
-    of the line.
+    If a source has a constant slope, ``slope_responses`` times the slope is added to the response
+    to the value of the source.
 
     The arrays ``rates`` and ``start`` have the shape (m,). ``level`` has the shape (ny,), and
-    ``drive`` the shape (m, sources). ``out`` and ``terms`` have the shape (ny, m). The static gains
-    and the slope responses have the shape (sources, ny).
+    ``drive`` the shape (m, sources). ``out`` and ``terms`` have the shape (ny, m). ``static_gains``
+    and ``slope_responses`` have the shape (sources, ny), where ny is the number of waveforms.
     """
 
     rates: np.ndarray
@@ -465,11 +466,12 @@ class ExponentialSolution:
     ) -> np.ndarray:
         """Compute the waveforms with indices ``outputs`` at the increasing times ``t``.
 
-        Return an array of shape (nt, len(outputs)). By default, the waves are exact. With the
-        functions ``rates`` and ``axis``, the waves are those that a numerical integration method
-        would compute, including its errors. The function ``rates`` maps the rate of each mode to
-        the rate in the numerical solution. The function ``axis`` maps the frequency ``j w`` of each
-        sine to the complex frequency at which the response to the sine is evaluated.
+        Return an array of shape (nt, len(outputs)). By default, the waveforms are the exact
+        solution of the linear circuit. With the functions ``rates`` and ``axis``, the waveforms are
+        those that a numerical integration method would compute, including its errors. The function
+        ``rates`` maps the exact pole of each mode to the pole of the mode in the numerical
+        solution. The function ``axis`` maps the frequency ``j w`` of each sine to the complex
+        frequency at which the response to the sine is evaluated.
         """
         poles = self.modes.rates
         moved = poles if rates is None else rates(poles)
@@ -495,8 +497,9 @@ class ExponentialSolution:
     def _list_intervals(self, moved: np.ndarray) -> list[tuple[float, float, np.ndarray]]:
         """List start, end and mode amplitudes of each interval between source corners.
 
-        ``moved`` is an array (m,) of exponential rates [1/s]. Within an interval, the amplitude of
-        mode k is proportional to ``exp(moved[k] * t)``.
+        ``moved`` (m,) [1/s] contains the poles of all modes in the exact or in a numerical
+        solution. Within an interval, the amplitude of mode k with the pole ``moved[k]`` is
+        proportional to ``exp(moved[k] * t)``.
         """
         poles, drive = self.modes.rates, self.modes.drive
         amplitude_jumps: dict[float, np.ndarray] = {0.0: self.modes.start.astype(complex)}

@@ -120,8 +120,8 @@ def _select_points(curve: Curve, indices: np.ndarray) -> Curve:
 def _scale_y(panel: Panel) -> Panel:
     """Return a panel with a y axis whose SI prefix suits the largest value.
 
-    A y axis that shows powers of ten has no SI prefix. In a panel with a map, the prefix applies to
-    the values of the map.
+    A y axis that shows powers of ten has no SI prefix. In a panel with a colour map, the SI prefix
+    applies to the values of the colour map.
     """
     if panel.equal:
         return panel
@@ -383,7 +383,7 @@ def _encode_numbers(values: np.ndarray) -> str:
 
 
 def _separate_equal_numbers(x: np.ndarray) -> np.ndarray:
-    """Make repeated float32 numbers distinct by the next larger float32 numbers.
+    """Replace repeated float32 numbers by the next larger ones, so that all differ.
 
     The numbers in ``x`` must not decrease.
 

@@ -18,9 +18,10 @@ from kc2spice.report.html import PageSection, write_page
 
 @dataclass(frozen=True, eq=False)
 class PlottedCurve:
-    """Plotted curve of a fit: one admittance, as measured, before and after the fit.
+    """Plotted curve of a fit: measured admittance, and model before and after the fit.
 
-    ``before`` contains the admittances before the fit, ``after`` the fitted admittances.
+    ``before`` contains the admittances of the model before the fit, ``after`` the fitted
+    admittances.
 
     All admittances [S] are arrays of shape (n,) at the frequencies ``f`` (n,) [Hz].
     """
@@ -83,7 +84,7 @@ def _make_curve_row(curve: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def _make_value_row(key: str, item: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return the table row of a fitted key: value, standard error, range and bound.
+    """Return the table row of a fitted key, with its value, standard error and range.
 
     If the fitted value has reached an end of its range, the column "bound" contains "met".
     """

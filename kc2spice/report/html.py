@@ -118,8 +118,8 @@ def format_value(value: Any, unit: str = "") -> str:
 class PageSection:
     """Section of a page: heading, drawing, table, links, note and figures.
 
-    All parts except the heading ``title`` are optional. ``drawing`` is HTML markup that is not
-    escaped.
+    All parts except the heading ``title`` are optional. ``drawing`` is HTML markup that is inserted
+    into the page without escaping.
     """
 
     title: str

@@ -1,8 +1,8 @@
 """Writer of the page ``sweep.html``: metrics of all points of a sweep.
 
 The figures depend on the swept keys. For one key, the figures are curves versus the key. For two
-keys, if the sweep contains all combinations of values, the figures are maps. For random keys or
-more than two keys, each metric has a histogram and a plot versus each key.
+keys, if the sweep contains all combinations of values, the figures are maps. If keys have random
+values, or if more than two keys are swept, each metric has a histogram and a plot versus each key.
 """
 
 from __future__ import annotations
@@ -73,8 +73,8 @@ def write_sweep(
     """Write the page of a sweep, with its table of results, to ``path``.
 
     ``units`` contains the units of the swept keys, and ``metric_units`` the units of the metrics.
-    ``random`` are the names of the random keys. ``plan`` is a text that states the number of
-    points. ``shares`` is the result of :func:`compute_yields`.
+    ``random`` contains the names of the keys with random values. ``plan`` is a text that states the
+    number of points. ``shares`` is the result of :func:`compute_yields`.
     """
     metrics = []
     spread = []

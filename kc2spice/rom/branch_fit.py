@@ -67,8 +67,8 @@ POOR_DEVIATION = 0.2  # relative rms deviation above which a fit is poor
 START_Q_FACTORS = (5.0, 30.0, 200.0, 1500.0)  # start values of the Q factor of a resonance
 # start values of a lead impedance, as fractions of the largest possible lead impedance
 LEAD_SHARES = (1e-3, 0.03, 0.5)
-STARTS_PER_DECADE = 2  # number of start values of a time constant per decade
-# largest numbers of evaluations in the fit of a candidate sum, and in the final fit
+STARTS_PER_DECADE = 2  # number of start values in each decade of time constants
+# largest numbers of residual evaluations in the fit of a candidate circuit and in the final fit
 SELECTION_EVALUATIONS = 100
 FINAL_EVALUATIONS = 400
 # smaller differences of the information criterion are insignificant (Kass and Raftery, 1995)
@@ -181,7 +181,8 @@ def _select_best_circuit(samples: AdmittanceSamples, ends: Sequence[Elements]) -
     """Select the circuit with the smallest information criterion.
 
     Criteria that differ by less than ``CRITERION_TOLERANCE`` count as equal, so that rounding
-    errors do not change the selection. The first of several equal circuits is selected.
+    errors do not change the selection. If several circuits have equal criteria, the first circuit
+    is selected.
     """
     values = list(map(samples.compute_information_criterion, ends))
     good = (
@@ -259,7 +260,7 @@ def _simplify_circuit(
 def _propose_simpler_circuits(
     samples: AdmittanceSamples, elements: Elements, element: FitElement
 ) -> Iterable[Elements]:
-    """Yield circuits without an element, or with a simpler element in its place.
+    """Yield circuits in which ``element`` is omitted or replaced by a simpler element.
 
     In the band, the simpler element has almost the same admittance as the replaced element.
     """
@@ -280,8 +281,9 @@ def _propose_simpler_circuits(
 def _replace_by_leads(element: FitElement, others: Elements) -> Iterable[Elements]:
     """Yield circuits in which a series lead, R or L, replaces one parallel element.
 
-    A lead can replace a branch whose resonance or corner frequency is above the band. At low
-    frequencies, leads in series with C0 have the same effect as branches in parallel with C0::
+    A series resistance R or inductance L can replace a parallel branch whose resonance or corner
+    frequency is above the band. At low frequencies, leads in series with C0 have the same effect as
+    branches in parallel with C0::
 
     s C0 / (1 + s R C0 + s^2 L C0) = s C0 - s^2 R C0^2 - s^3 L C0^2 + ...
     s c w^2 / (s^2 + d s + w^2) = s c - s^2 c d / w^2 - s^3 c / w^2 + ...

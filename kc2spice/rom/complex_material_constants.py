@@ -3,25 +3,26 @@
 Source: IEEE Std 176-1987.
 
 Complex compliances ``s^E (1 - j / Q)`` and permittivities ``eps^T (1 - j tan delta)`` state the
-losses of a ceramic. The piezoelectric constants d are real. The material constants do not depend on
-frequency, so all modes have the same Q factor. A mode with the angular frequency ``omega_j`` has
-the gain g_j for voltages and forces. The clamped capacitance is D. Only elastic strain causes
-mechanical losses. The elastic strain w_j of a mode is the displacement z_j minus the displacement
-of the free body at the voltage V:
+losses of a ceramic. The piezoelectric constants d are real. The Q factor of the compliances does
+not depend on frequency, so it is also the Q factor of all modes. A mode with the angular frequency
+``omega_j`` has the gain g_j for voltages and forces. The clamped capacitance is D. Only elastic
+strain causes mechanical losses. The elastic strain w_j of a mode is the displacement z_j minus the
+displacement of the free body at the voltage V:
 
     w_j = z_j - g_j V / omega_j^2,
     z_j'' + chi(s) omega_j^2 w_j = f_j,        q = psi(s) C_T V + sum_j chi(s) g_j w_j,
     C_T = D + sum_j g_j^2 / omega_j^2,         chi = 1 + j / Q,        psi = 1 - j tan delta,
 
-The factor chi approximates ``1 / (1 - j / Q)`` with an error of ``1 / Q^2``. The free body at rest
-has the loss tangent of the data sheet and no mechanical loss. The clamped body has the complex
-capacitance ``D - j (C_T tan delta + (C_T - D) / Q)``. No causal model has a loss factor that is
-constant over all frequencies. The complex factors chi of the stiffness and psi of the capacitance
-must be powers of the frequency. See :mod:`kc2spice.rom.structural_damping` for chi, and
-:mod:`kc2spice.rom.modal_models` for psi. Therefore, chi is ``1 + j / Q`` only at the frequency of
-the stated damping, and psi is ``1 - j tan delta`` only at 1 kHz. Sums of relaxations approximate
-chi and psi. All amplitudes of the relaxations are positive, so each relaxation is passive. The
-model is passive if the instantaneous capacitance is positive.
+The factor chi approximates ``1 / (1 - j / Q)`` with an error of ``1 / Q^2``. At frequencies far
+below its resonances, a body without supports has the loss tangent of the data sheet and no
+mechanical loss. The clamped body has the complex capacitance ``D - j (C_T tan delta + (C_T - D) /
+Q)``. No causal model has a loss factor that is constant over all frequencies. The complex factors
+chi of the stiffness and psi of the capacitance must be powers of the frequency. See
+:mod:`kc2spice.rom.structural_damping` for chi, and :mod:`kc2spice.rom.modal_models` for psi.
+Therefore, chi is ``1 + j / Q`` only at the frequency of the stated damping, and psi is ``1 - j tan
+delta`` only at 1 kHz. Sums of relaxations approximate chi and psi. All amplitudes of the
+relaxations are positive, so each relaxation is passive. The model is passive if the instantaneous
+capacitance is positive.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ from kc2spice.rom.transfer_function_error_scales import PEAK_SHARE
 
 # permitted relative error of the response at resonances due to approximation by relaxations
 MAX_RELAXATION_ERROR = 1e-3
-# permitted relative error of the permittivity, divided by the smaller of loss tangent and 0.02
+# permitted relative error of the permittivity, as a multiple of min(loss tangent, 0.02)
 DIELECTRIC_SHARE = 0.01
 # errors of the stiffness are amplified if (frequency / lowest resonance) exceeds this ratio
 SENSITIVITY_LIMIT = 0.7

@@ -46,7 +46,7 @@ DEPENDENT_CONSTRAINT = 1e-12
 ZERO_SINGULAR_VALUE = 100.0
 MAX_DESCRIPTOR_STATES = 2000  # largest number of states of a model whose infinite poles are removed
 MAX_CONSTRAINT_ENTRIES = 5e7  # largest number of entries of the constraints as a dense matrix
-NEGLIGIBLE_TERM = 1e-10  # smaller relative terms count as zero
+NEGLIGIBLE_TERM = 1e-10  # terms below this fraction of the largest term count as zero
 
 
 def eliminate_constraints(pencil: Pencil) -> Pencil:

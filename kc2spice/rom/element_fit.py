@@ -24,10 +24,12 @@ from scipy.optimize import least_squares, nnls
 from kc2spice.rom.one_port_network import CircuitBranch
 
 INSTRUMENT_DEVIATION = 1e-5  # relative rms error that every measuring instrument may have
-ROUNDING_FACTOR = 1.5  # accepted deviation / deviation due to rounded frequencies
+# accepted deviation, as a multiple of the deviation that rounded frequencies cause
+ROUNDING_FACTOR = 1.5
 MAX_DIGIT_FRACTION = 0.6  # largest rounding error of a frequency, as a fraction of the last digit
 DEVIATION_FLOOR = 1e-6  # smaller relative deviations hardly change the information criterion
-TRIAL_EVALUATIONS = 40  # largest number of evaluations of the residuals for a candidate sum
+# largest number of residual evaluations in the fit of one candidate circuit
+TRIAL_EVALUATIONS = 40
 # A fit has converged if the parameters and the sum of squares change by less than this ratio.
 CONVERGENCE_TOLERANCE = 1e-12
 # Largest logarithm of a parameter: larger than for real components, but in the range of floats.
@@ -236,7 +238,10 @@ class AdmittanceSamples:
         return np.asarray(self.Y / (1 - leads * self.Y) - parallel)
 
     def compute_log_slopes(self, elements: Elements) -> list[list[np.ndarray]]:
-        """Compute derivatives (n,) of log(Y) with respect to all parameters of elements."""
+        """Compute the derivatives of log(Y) with respect to all parameters of elements.
+
+        Each derivative is an array of shape (n,).
+        """
         parallel, leads = self._sum_elements(elements)
         Y = parallel / (1 + leads * parallel)
         inner = 1 / (parallel * (1 + leads * parallel))

@@ -33,9 +33,9 @@ from kc2spice.rom.transfer_function_error_scales import (
 # Frequencies above the band at which errors are computed, as multiples of the upper band limit.
 # Errors above the band are computed because contacts also excite a body above the band.
 MULTIPLES_ABOVE_BAND = np.array([2.0, 4.0])
-# Settings of the search for the largest error, found by trials.
+# The following settings of the search for the largest error were found by trials.
 # tests/physics/test_certificates.py compares the result of the search with errors on fine grids.
-# Each round adds frequencies near this number of the deepest minima of the response.
+# number of deepest minima of the response near which each round adds frequencies
 REFINED_NOTCHES = 60
 ZOOM_FREQUENCIES = 9  # number of frequencies in a refined interval
 NOTCH_ROUNDS = 20  # largest number of rounds that add frequencies near notches
@@ -43,7 +43,7 @@ EQUAL_FREQUENCY = 1e-12  # relative difference below which frequencies count as 
 # A neighbouring sample that exceeds a sampled minimum by this factor indicates a deeper minimum.
 # An interpolated value below (sampled minimum / MIN_STEEPNESS) also indicates a deeper minimum.
 MIN_STEEPNESS = 1.5
-REFINED_PEAKS = 40  # each round adds frequencies near this number of the largest errors
+REFINED_PEAKS = 40  # number of largest errors near which each round adds frequencies
 PEAK_ROUNDS = 3  # largest number of rounds that add frequencies near the largest errors
 # Each model is first tested at the frequencies at which earlier models were inaccurate.
 # Each model is tested at about FIRST_FREQUENCIES samples of the band before all other samples.
@@ -155,16 +155,20 @@ class ErrorEstimator:
 
     @property
     def min_relative_divisor(self) -> float:
-        """Smallest divisor of absolute errors, as a fraction of the response's peak."""
+        """Lower limit of the divisor of errors, as a fraction of the response's peak.
+
+        For a relative error, the absolute error is divided by the magnitude of the response. If the
+        magnitude is below the lower limit, the absolute error is divided by the lower limit.
+        """
         return get_min_relative_divisor(self.norm)
 
     @cached_property
     def _significant_entry_mask(self) -> np.ndarray:
         """Mask of the response entries (outputs, inputs) that exceed rounding errors.
 
-        The mask also includes entries that are zero by symmetry. The error of a zero entry is
-        relative to the largest entries in its row and column, so rounding errors of the entry are
-        negligible.
+        The mask is also true for entries that are zero by symmetry, because their errors are
+        relative to the largest entries in the same row and column. The rounding errors of zero
+        entries are therefore negligible.
         """
         return np.asarray(
             ~self.exact.mask_cancelled_entries(2j * np.pi * self.frequency)
@@ -275,7 +279,8 @@ def compute_relative_error(response: np.ndarray, reference: np.ndarray) -> float
     zero.
 
     Both arrays have the shape (frequencies, outputs, inputs). Arrays may also have the shape
-    (frequencies,) or (frequencies, entries) for independent entries.
+    (frequencies,) or (frequencies, entries). For the shape (frequencies, entries), the error of
+    each entry is computed separately.
     """
     difference = response - reference
     if reference.ndim == 3:

@@ -92,7 +92,10 @@ class FreeBody:
 
     @cached_property
     def _absolute_forces(self) -> tuple[np.ndarray, ...]:
-        """Absolute forces ``|P| |V|`` of rigid-body modes V, for each system matrix P."""
+        """Product ``|P| |V|`` of each system matrix P and the rigid-body modes V.
+
+        Each entry is the sum of the magnitudes of all terms of one force in ``P V``.
+        """
         return tuple(
             compute_absolute_entries(P) @ np.abs(self.vectors) for P in self.pencil.coefficients
         )
@@ -115,8 +118,9 @@ class FreeBody:
 def split_free_body(pencil: Pencil, omega: float) -> FreeBody | None:
     """Split the model of a free body into its rigid-body modes and an elastic part.
 
-    ``omega`` [rad/s] is the upper band limit. Return None if the model has no definite form, no
-    rigid-body modes, or supports whose stiffness is as small as rounding errors.
+    ``omega`` [rad/s] is the upper band limit. Return None if the function :func:`has_definite_form`
+    returns false, or if the model has no rigid-body modes. Also return None if the stiffness of
+    supports is as small as rounding errors.
     """
     if not has_definite_form(pencil, undamped_too=True):
         return None

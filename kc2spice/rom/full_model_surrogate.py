@@ -54,9 +54,9 @@ def make_surrogate(
 def _estimate_solution_rounding(pencil: Pencil, frequency: float, exact: np.ndarray) -> float:
     """Estimate the relative rounding error of the direct solution ``exact``.
 
-    The result is the largest relative change of the solution in trials with random units of the
-    unknowns. Thin bodies have large rounding errors, because their elastic forces are small
-    differences of large forces.
+    The result is :data:`TRIAL_FACTOR` times the largest relative change of the solution in trials
+    in which random factors scale the unknowns. Thin bodies have large rounding errors, because
+    their elastic forces are small differences of large forces.
     """
     rng, s = np.random.default_rng(0), np.array([2j * np.pi * frequency])
     trials = map(pencil.rescale_unknowns, rng.uniform(1.0, 2.0, (RANDOM_TRIALS, pencil.size)))

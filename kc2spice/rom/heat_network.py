@@ -36,7 +36,7 @@ NetworkForm = Literal["foster", "cauer"]
 NETWORK_FORMS: tuple[NetworkForm, ...] = ("foster", "cauer")
 # relative difference below which time constants count as equal: about a hundred times eps
 EQUAL_TIME = 2e-14
-# Number of decimal digits per time constant in the continued fraction.
+# Precision of the continued fraction, in decimal digits for each time constant of the network.
 # In each step of the continued fraction, cancellation removes at most 14 digits of the numerator
 # and 14 digits of the denominator, so that 30 digits per time constant are sufficient.
 # If two time constants agree in k digits, a step of the continued fraction loses k digits.

@@ -9,8 +9,8 @@ prescribed temperatures are ``Psi``:
 
 A congruence reduces the model of ``T_e``, whose inputs are q, ``K_ei T_i`` and ``E_ei T_i'``. The
 reduced model of the temperatures ``T_e``, which are not prescribed, also gives accurate heat flows
-(:mod:`kc2spice.rom.prescribed_flows`). The basis of the reduced ``T_e`` and ``Psi`` together reduce
-the whole model by a congruence. E and K remain symmetric and positive semi-definite, so the model
+(:mod:`kc2spice.rom.prescribed_flows`). A congruence with ``Psi`` and with the basis of the reduced
+``T_e`` reduces the whole model. E and K remain symmetric and positive semi-definite, so the model
 is passive. The static responses to prescribed temperatures are exact. R. R. Craig and M. C. C.
 Bampton, AIAA Journal 6 (1968) 1313, describe the method for structures.
 """
@@ -76,7 +76,8 @@ def reduce_with_prescribed_temperatures(
 
     Raises
     ------
-    UsageError : no congruence reduces the model of the temperatures that are not prescribed.
+    UsageError : the model of the temperatures that are not prescribed cannot be reduced by a
+        congruence.
     SimulationError : the error exceeds the tolerance.
     """
     if not prescribed:
@@ -161,8 +162,8 @@ def make_no_congruence_error(model: LinearModel) -> UsageError:
 def _reduce_definite_model(model: LinearModel, aims: Mapping[str, Any]) -> LinearModel:
     """Reduce a heat model whose conductance matrix K is positive definite.
 
-    The rates of a small model may differ by 12 orders of magnitude. If rates differ by many orders
-    of magnitude, the slowest rate could count as zero, as in a body without a thermal path.
+    The decay rates of a small model can differ by a factor of 1e12. If decay rates differ by many
+    orders of magnitude, the slowest rate could count as zero, as in a body without a thermal path.
     Therefore, small models are transformed to modal coordinates, in which K is the unit matrix.
     """
     if model.order > DENSE:

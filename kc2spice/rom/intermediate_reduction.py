@@ -216,7 +216,8 @@ def _use_full_order(
             "increase the tolerance; other units or fewer elements may also help",
         )
     proof = f"these are all states of the full model, solved to {error:.0e}{note}"
-    error = min(error, limit)  # an error above the limit is a rounding error of the matrices
+    # At this point, only rounding errors of the matrices can cause an error above the limit.
+    error = min(error, limit)
     if projected is not None:
         floor = max(floor, estimate_removed_stiffness(projected, full, band))
     return IntermediateModel(

@@ -31,7 +31,7 @@ from kc2spice.rom.pencil import Matrix
 
 MARKET_BANNER = b"%%matrixmarket"
 _MARKET_LAYOUTS = ("coordinate", "array")
-# number of decimal numbers for each entry in a Matrix Market file, keyed by the type of the entries
+# how many numbers represent one entry of a Matrix Market file, keyed by the type of the entries
 _MARKET_FIELDS = {"real": 1, "double": 1, "integer": 1, "complex": 2}
 _SYMMETRIES = ("general", "symmetric", "skew-symmetric")
 # translation of Fortran's exponents D and d to E, and of commas to blanks

@@ -756,7 +756,7 @@ def _suggest_size(letter: str, shape: tuple[int, ...], expected: tuple[int, ...]
 
 
 def _complete_ports(ports: tuple[Port, ...], m: int, p: int, where: str) -> tuple[Port, ...]:
-    """Check the ports of a model; without ports, return m inputs and p outputs."""
+    """Check the ports of a model, or make m input and p output ports if it has none."""
     strange = next((port for port in ports if not isinstance(port, Port)), None)
     if strange is not None:
         raise UsageError(

@@ -1,9 +1,9 @@
 """Fits that reduce the largest error of reduced models in the norm *peak*.
 
-The fitted parameters are the output matrix of a projection, or the rates and gains of a model with
-real poles. For the same tolerance, a fitted model needs fewer states than a projected model without
-a fit. The fits are minimax fits with Lawson's weights: C. L. Lawson, Contributions to the Theory of
-Linear Least Maximum Approximations (1961).
+The fitted parameters are the output matrix of a projected model, or the rates and gains of a model
+with real poles. For the same tolerance, a fitted model needs fewer states than a projected model
+without a fit. The fits are minimax fits with Lawson's weights: C. L. Lawson, Contributions to the
+Theory of Linear Least Maximum Approximations (1961).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from kc2spice.rom.response import Response
 MAX_ORDER = 150  # largest order for which the output matrix is fitted
 MAX_FIT_PARAMETERS = 60  # largest number of fitted rates and gains of a relaxing model
 MAX_ROUNDS = 12  # largest number of updates of the weights
-# An update multiplies the weight of a frequency without error by the square root of this value.
+# An update multiplies the weight of each frequency by sqrt(error / largest error + MIN_WEIGHT).
 MIN_WEIGHT = 0.05
 # Number of successive orders whose fit may fail before the search ends.
 # Errors may increase with the order, so a fit of a lower order may succeed after a failure.
@@ -54,8 +54,8 @@ def fit_output_matrix(
 ) -> tuple[ReducedBasis, int]:
     """Fit the output matrix C by minimax, so that a basis of lower order suffices.
 
-    The result is the fitted basis of the lowest possible order, and the order. If no fit succeeds,
-    the arguments are returned.
+    Return a basis with the fitted output matrix, and its order, which is as low as possible. If no
+    fit succeeds, the arguments are returned.
     """
     estimator = basis.task.estimator
     s = choose_snapshots(estimator, estimator.exact).s
@@ -88,11 +88,12 @@ def fit_output_matrix(
 
 
 def fit_relaxations(basis: ReducedBasis, order: int, tolerance: float) -> tuple[ReducedBasis, int]:
-    """Lower the order of relaxing models by fits of rates and gains.
+    """Lower the order of a model with real poles by a fit of its rates and gains.
 
-    Relaxing models are always passive. The result is the fitted basis of the lowest possible order,
-    and the order. If no fit succeeds, the arguments are returned. Models with rigid-body modes or
-    with fixed static responses of ports are not fitted.
+    Relaxing models, such as networks of R and C, are always passive. Return a basis with the fitted
+    rates and gains, and its order, which is as low as possible. If no fit succeeds, the arguments
+    are returned. Models with rigid-body modes or with fixed static responses of ports are not
+    fitted.
     """
     estimator, ports = basis.task.estimator, basis.pencil.B.shape[1]
     if basis.fixed or basis.pencil.free:

@@ -253,15 +253,16 @@ MASSLESS_ERROR = 1e-3
 # Modes with little damping depend on the mesh, ring for hundreds of periods, and limit time steps.
 # With massless modes instead, the simulated launch of a chip needs a third of the time points.
 # Massless modes change the simulated launch of a chip with 0.01 % damping by 1.2e-3.
-# A finer model also changes the simulated launch: in the same direction as massless modes, but by
-# four times as much.
+# A finer model changes the simulated launch in the same direction as massless modes do, but by four
+# times as much.
 RINGING_ERROR = 1e-2
 MAX_RINGING_RATIO = 0.02
 # A mode may become massless if (frequency / end of the band) exceeds this ratio.
 # Modes nearer to the band keep their inertia, because they do not follow loads instantaneously.
 MIN_FREQUENCY_RATIO = 2.0
 EQUAL_TIMES_TOLERANCE = 1e-9  # relaxation times up to this relative difference count as equal
-# combinations of modes with a smaller relative singular value count as not driven by any port
+# A combination of modes counts as not driven by any port if (its singular value / largest singular
+# value) is below this ratio.
 ZERO_SINGULAR_VALUE = 1e-12
 
 
@@ -278,10 +279,10 @@ def make_highest_modes_massless(model: Resonators, tolerance: float | None = Non
       is ``RINGING_ERROR`` instead.
     * The error estimate of the resulting model is at most ``tolerance``.
 
-    The static response remains exact, and the model remains passive. Modes with equal relaxation
-    times are merged; one state remains for each independent port. For example, all modes have equal
-    relaxation times if damping is proportional to stiffness. A mode without inertia contributes
-    nothing to the response of an acceleration port.
+    The static response remains exact, and the model remains passive. If all massless modes have
+    equal relaxation times, they are merged into one state for each linearly independent port. For
+    example, all modes have equal relaxation times if damping is proportional to stiffness. A mode
+    without inertia contributes nothing to the response of an acceleration port.
     """
     certificate = model.certificate
     if certificate is None:
@@ -369,8 +370,9 @@ def simulate_resonators(
     [s]. Between successive times, the loads are linear. The outputs (n, ports) are displacements
     [m] and charges [C]. The stored energy (n,) is in J.
 
-    The characteristic equation of a mode ``z'' + d z' + w^2 z = r`` has the roots a and b. For each
-    root a, the equation ``x' = a x + r`` with the load r is integrated over the time steps h:
+    The displacement z of each mode satisfies ``z'' + d z' + w^2 z = r`` with the load r. The
+    characteristic equation ``s^2 + d s + w^2 = 0`` of a mode has the roots a and b. For each root
+    a, the equation ``x' = a x + r`` with the load r is integrated over the time steps h:
 
         x(t + h) = e^(ah) x(t) + h p1(ah) r(t) + h p2(ah) (r(t + h) - r(t))
 
@@ -420,8 +422,8 @@ def integrate_roots(roots: np.ndarray, t: np.ndarray, drive: np.ndarray) -> np.n
     ``drive`` contains the values of r at the times ``t``.
 
     Return the states x, an array of shape (n, roots). The time steps are divided into groups. All
-    groups are integrated in parallel, each from the state zero. Afterwards, the free response of
-    each group of time steps to the final state of the previous group is added.
+    groups are integrated in parallel, each from the state zero. Afterwards, the free response that
+    starts from the final state of one group is added to the states of the next group.
     """
     states = np.empty((t.size, roots.size), dtype=np.result_type(roots, drive))
     states[0] = state = drive[0] / -roots

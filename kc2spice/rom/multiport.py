@@ -216,7 +216,7 @@ def _enforce_passivity(model: ABCD, f: np.ndarray, S: np.ndarray) -> ABCD | None
     size = np.sqrt((np.abs(states) ** 2).mean(axis=(0, 2)))  # rms value of each state
     A, B, states = A / top * size / size[:, None], B / size[:, None] / top, states / size[:, None]
     X = np.concatenate([states, np.broadcast_to(np.eye(m), (len(f), m, m))], axis=1)
-    # rows are samples and inputs, columns are states and inputs
+    # Each row is one input at one sample; the columns are the states, then the inputs.
     X = np.moveaxis(X, 1, 2).reshape(-1, n + m)
     target = np.moveaxis(S, 1, 2).reshape(-1, m)
     Q, R = np.linalg.qr(np.concatenate([X.real, X.imag]))
@@ -230,8 +230,8 @@ def _enforce_passivity(model: ABCD, f: np.ndarray, S: np.ndarray) -> ABCD | None
     def make_inequality_matrix(x: np.ndarray) -> np.ndarray:
         """Return the part of the passivity inequality matrix that is linear in ``x``.
 
-        The constant entries -1 of the matrix are omitted. ``x`` contains the lower triangle of P,
-        and then the rows of the block matrix ``[C D]``.
+        The result contains zero in place of the constant entries -1 of the matrix. ``x`` contains
+        the lower triangle of P, and then the rows of the block matrix ``[C D]``.
         """
         P, CD = np.zeros((n, n)), x[triangle:count].reshape(m, n + m)
         P[pairs] = P.T[pairs] = x[:triangle]
@@ -422,8 +422,8 @@ def _yield_pole_derivatives(
 ) -> Iterator[np.ndarray]:
     """Yield the derivatives of the fit with respect to all log pole parameters.
 
-    The pole parts are the negative real parts and the imaginary parts of the poles. Each derivative
-    has the shape (frequencies, entries).
+    The pole parameters are ``-Re(p)`` of all poles p, and ``Im(p)`` of complex poles. Each
+    derivative has the shape (frequencies, entries).
     """
     residues = _recover_residues(coefficients, real)
     one, other = 1 / (s[:, None] - p) ** 2, 1 / (s[:, None] - p.conj()) ** 2

@@ -13,14 +13,15 @@ from kc2spice.rom.reduced_basis import ReducedBasis, ReductionTask
 from kc2spice.rom.reductors.base import Reductor
 from kc2spice.rom.stability import DEFINITE_EVIDENCE, StabilityProof
 
-# Up to this number of states of a congruence, a general projection is also computed for comparison.
+# If a congruence needs at most this number of states, a general projection is also computed.
 # The certificate then states how many states the congruence and the general projection need.
 # Found by trials; a larger value increases the computing time.
 MAX_COMPARED_STATES = 200
-# A general projection replaces a congruence if the number of states of the projection, divided by
-# the number of states of the congruence, is at most this ratio.
+# A general projection replaces a congruence if the general projection needs at most this fraction
+# of the states that the congruence needs.
 # For example, a general projection with 10 states replaces a congruence with 11 states.
-# Only a congruence of definite matrices gives resonators, whose form proves stability.
+# A congruence of definite matrices has an advantage: its reduced model consists of resonators,
+# whose form proves stability.
 SAVING_RATIO = 0.91
 
 
@@ -77,10 +78,10 @@ def select_fewest_states(
 
     Congruences are preferred, because a congruence of definite matrices gives a model of passive
     resonators. An oblique projection is used only if all ports are signals, and if the projection
-    needs fewer states than a congruence. In place of a congruence of definite matrices, an oblique
-    projection must need at least about 9 % fewer states. If ``keep_form`` is true, only congruences
-    are used. If ``shorten`` is true, the reductor that computed the congruence then searches for a
-    basis of fewer vectors.
+    needs fewer states than a congruence. An oblique projection replaces a congruence of definite
+    matrices only if the oblique projection needs at least about 9 % fewer states. If ``keep_form``
+    is true, only congruences are used. If ``shorten`` is true, the reductor that computed the
+    congruence then searches for a basis of fewer vectors.
 
     Raises
     ------
@@ -135,7 +136,8 @@ def _select_fewest_states(
 
     The number of states must be smaller than ``states``; otherwise, the result is None. In the norm
     *peak*, the basis with the fewest states is used. In the norm *pointwise*, the first acceptable
-    basis is used, because only balancing over the band represents notches.
+    basis is used: by default, it comes from balancing over the band, which represents notches
+    accurately.
     """
     best = None
     for reductor in reductors:

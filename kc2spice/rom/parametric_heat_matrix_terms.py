@@ -31,8 +31,8 @@ from kc2spice.rom.parametric_models import Full, ParameterAxis, Values
 # If the range of a parameter includes zero, only the exponent sets without -1 are tried.
 POWERS: tuple[tuple[int, ...], ...] = ((0,), (0, 1), (0, -1), (0, 1, -1))
 # Places at which full models are computed, in the logarithmic parameter range from -1 to 1.
-# The key is the number k of powers of the parameter in the matrices, for example 2 for (0, 1).
-# Full models at k values of a parameter determine the constant matrices of its k powers.
+# PLACES is keyed by the number of exponents of a parameter, such as 2 for the exponents 0 and 1.
+# Coefficient matrices of k powers of a parameter follow from full models at k parameter values.
 PLACES = {1: (0.0,), 2: (-1.0, 1.0), 3: (-1.0, 0.0, 1.0)}
 CHECKED = (
     0.31,

@@ -25,8 +25,8 @@ from kc2spice.rom.range_reduction import ModelOverRanges
 class HeatOverRanges(ModelOverRanges):
     """Heat model ``E(p) x' + K(p) x = B q``, ``T = B'x`` over ranges of parameters.
 
-    ``terms`` are the terms of the reduced matrices E and K. The model has characteristic values
-    that depend on the parameters, such as a thermal resistance. A polynomial of the parameters
+    ``terms`` are the terms of the reduced matrices E and K. The model has characteristic values,
+    such as a thermal resistance, that depend on the parameters. A polynomial of the parameters
     approximates the logarithm of each characteristic value. ``facts`` contains the coefficients of
     the polynomials, and ``exponents`` the common exponents of all polynomials.
     """

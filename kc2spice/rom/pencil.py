@@ -151,7 +151,10 @@ class SchurComplement:
         return self._replace_blocks(alpha * M + beta * self.uu, beta * self.up, self.pu)
 
     def _replace_blocks(self, uu: Matrix, up: Matrix, pu: Matrix) -> SchurComplement:
-        """Return a copy with new blocks, except the block of the eliminated unknowns."""
+        """Return a Schur complement with new blocks uu, up and pu; keep the block pp.
+
+        The block ``pp`` belongs to the eliminated unknowns.
+        """
         return SchurComplement(uu, up, pu, self.pp, self.factor)
 
     def toarray(self) -> np.ndarray:

@@ -1,4 +1,6 @@
-"""Heat flows into ports whose temperatures are prescribed, and their errors.
+"""Computation of heat flows into ports with prescribed temperatures.
+
+The module also compares the heat flows of reduced models with the heat flows of the full model.
 
 :mod:`kc2spice.rom.interface_reduction` divides the unknowns into the prescribed temperatures
 ``T_i`` and all other temperatures ``T_e``. The vector Q contains the heat flows into the ports with
@@ -14,7 +16,8 @@ matrices are ``c = E_ei + E_ee Psi`` and ``M = E_ii + 2 E_ie Psi + Psi' E_ee Psi
 frequencies, the terms of Q nearly cancel. For example, at high frequencies the heat flow through a
 film into a body approaches ``K_ii T_i``, because the temperature of the body hardly changes.
 Therefore, the errors of Q and T_q may be much larger than the error of x. In the original
-equations, terms cancel at low frequencies instead of high frequencies::
+equations, the terms of the heat flows Q nearly cancel at low frequencies, but not at high
+frequencies::
 
     (K_ee + s E_ee) T_e = B_e q - (K_ei + s E_ei) T_i,
     Q = (K_ii + s E_ii) T_i + (K_ie + s E_ie) T_e - B_i' q,    T_q = B_i' T_i + B_e' T_e.
@@ -132,7 +135,7 @@ def _project_on_responses(
     """
     limits = (share * tolerance for share in REFERENCE_SHARE)
     space = build_intermediate_model(make_driven_model(model, parts).pencil, band, *limits)
-    # The intermediate model of a large model always has a basis; only a small model needs none.
+    # The intermediate model of a model with more than DENSE unknowns always has a basis.
     assert space.basis is not None
     n, at, others = len(parts.at), parts.at, parts.others
     W, _ = np.linalg.qr(np.hstack([space.basis, parts.psi]))

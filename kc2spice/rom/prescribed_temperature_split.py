@@ -39,11 +39,12 @@ class SplitHeatModel:
         (others, prescribed).
     shares : static temperatures of the heat-flow ports, per kelvin of each prescribed temperature,
         as an array of shape (heat-flow ports, prescribed).
-    conductance : array of shape (prescribed, prescribed). An entry is the static heat flow into a
-        prescribed port, per kelvin at a prescribed port [W/K].
+    conductance : array of shape (prescribed, prescribed). Entry (i, k) [W/K] is the static heat
+        flow into port i per kelvin at port k. Both ports have prescribed temperatures.
     stored : heat [J/K] that the body stores in the static state, for prescribed temperatures of
         1 K, as an array of shape (prescribed, prescribed).
-    inner : model of x (:mod:`kc2spice.rom.interface_reduction`), with the inputs q and T_i'.
+    inner : model of the unknowns x, which :mod:`kc2spice.rom.interface_reduction` defines. The
+        inputs are the prescribed heat flows q and the rates T_i' of the prescribed temperatures.
     """
 
     at: np.ndarray

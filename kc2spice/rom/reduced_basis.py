@@ -279,9 +279,10 @@ class ReducedBasis:
     The matrices of the reduced-order model of order q are the leading q x q blocks of the
     ``pencil``. Every reduced model contains the first ``fixed`` unknowns: rigid-body modes, and
     static responses of conservative ports. If ``congruence`` is true, the projection preserves the
-    form of the matrices. The certificate's description of the method begins with the text
-    ``origin``. ``vectors`` contains the basis vectors as columns, or is None if the basis vectors
-    are unknown. ``coordinates`` names the model in whose unknowns the basis vectors are expressed.
+    symmetry and definiteness of the matrices. The certificate's description of the method begins
+    with the text ``origin``. ``vectors`` contains the basis vectors as columns, or is None if the
+    basis vectors are unknown. ``coordinates`` names the model in whose unknowns the basis vectors
+    are expressed.
     """
 
     task: ReductionTask
@@ -303,9 +304,10 @@ class ReducedBasis:
 
     @property
     def has_only_real_poles(self) -> bool:
-        """Whether all poles are real: the model is symmetric, collocated and first-order.
+        """Whether all poles of the reduced models are known to be real.
 
-        A congruence preserves the real poles and the passivity of a symmetric, collocated model of
+        The poles are known to be real if the model is symmetric, collocated and of first order. A
+        congruence preserves the real poles and the passivity of a symmetric, collocated model of
         first order.
         """
         return self.pencil.degree == 1 and self.pencil.is_symmetric and self.pencil.is_collocated

@@ -73,20 +73,20 @@ MODE_GAPS = 0.03, 0.1, 0.3, 0.8, np.inf
 # Largest number of blocks of Ritz vectors.
 # The blocks are the static responses and their derivatives with respect to the squared frequency.
 KRYLOV_BLOCKS = 4
-# smallest accepted overlap of a block's mode shapes with its shapes in the middle of the ranges
+# smallest accepted overlap of mode shapes with mode shapes in the middle of the parameter ranges
 MIN_OVERLAP = 0.2
 CHECK_POINTS = 16  # number of random points in the ranges for error estimates of the fit
 # largest accepted error of the subspace of modes and Ritz vectors, divided by the tolerance
 SUBSPACE_SHARE = 0.3
 # A rigid-body mode's gain at a port counts as zero up to this fraction of the port's largest gain.
 RIGID_ROUNDING = 1e-6
-# assumed squared frequency of the first mode above the dense model, divided by the squared
-# frequency of the highest mode of the dense model
+# assumed ratio of squared frequencies: first mode that the dense model omits, to its highest mode
 LAST_GAP = 8.0
 # The number n of retained modes maximises log(w_omitted^2 / w_retained^2) - n MIN_GAP_GAIN.
 # w_omitted is the frequency of the first omitted mode, and w_retained of the last retained mode.
 MIN_GAP_GAIN = 0.02
-# largest squared norm of a dependent Ritz vector, relative to the largest squared norm
+# The squared norm of each Ritz vector is divided by the largest squared norm of all Ritz vectors.
+# Ritz vectors with a relative squared norm below DEPENDENT_VECTOR count as linearly dependent.
 DEPENDENT_VECTOR = 1e-9
 # number of full models at random points of the ranges that check the resonators; one additional
 # full model at a corner of the ranges also checks the resonators
@@ -254,8 +254,9 @@ def _compute_largest_difference(
 ) -> float:
     """Return the largest relative difference between a reduced model and full models.
 
-    Each item of ``checks`` contains parameter values, an error estimator for the full model with
-    these values, and the error of the estimator.
+    Each item of ``checks`` contains parameter values, an error estimator, and an error. The
+    estimator compares a model with the intermediate model that replaces the full model at the
+    parameter values. The error is the error of the intermediate model.
     """
     return max(
         estimator.estimate_model_error(Response(model.evaluate(values).pencil)) + error
@@ -418,7 +419,11 @@ class _ModesOverRanges:
         self.count = int(counts[np.argmax(gaps - MIN_GAP_GAIN * np.arange(len(counts)))])
 
     def compute_elastic_modes(self, x: np.ndarray) -> _DenseModes:
-        """Compute elastic modes at parameters ``x``; remove or support rigid-body modes."""
+        """Compute the elastic modes at normalised parameter values ``x``.
+
+        If a port excites a rigid-body mode, all rigid-body modes are retained on a soft support.
+        If no port excites a rigid-body mode, all rigid-body modes are removed.
+        """
         return self._isolate_elastic_modes(self._compute_all_modes(x))
 
     def _compute_all_modes(self, x: np.ndarray) -> _DenseModes:
@@ -522,8 +527,9 @@ class _ReducedSpace:
     ) -> ResonatorsOverRanges | None:
         """Fit polynomials of the parameters to the coefficients of mode blocks.
 
-        The logarithms of the squared frequencies of two blocks differ by more than ``gap``. The
-        result is None if the mode shapes of a block change too much within the ranges.
+        Two adjacent modes belong to different blocks if log(squared frequency) differs by more than
+        ``gap`` at all grid points. The result is None if the mode shapes of a block change too much
+        within the ranges.
         """
         modes, dense_model = self.modes, self.modes.dense_model
         separated = np.log(self.w2[:, 1:] / self.w2[:, :-1]).min(axis=0) > gap

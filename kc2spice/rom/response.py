@@ -38,7 +38,7 @@ RESONANCE_OFFSETS = np.array([0.0, 0.25, 0.5, 1.0, 2.0, 5.0, 15.0, 60.0])
 # number of frequencies in the linear grid and in the logarithmic grid of a band; found by trials
 GRID_FREQUENCIES = 200
 # limits of the size of models whose eigenvectors are computed, found by trials
-MIN_UNKNOWNS = 12  # largest number of unknowns for which direct solutions are faster
+MIN_UNKNOWNS = 12  # up to this number of unknowns, direct solutions are faster than modal solutions
 MAX_STATES = 2000  # largest number of first-order states for which eigenvectors are computed
 DECOUPLING_TOLERANCE = 1e-10  # largest relative difference between decoupled and direct solutions
 # ratio of successive squared frequencies above which the lower mode is a rigid-body mode
@@ -90,7 +90,7 @@ class Response:
 
     @cached_property
     def modes(self) -> Modes | None:
-        """Modes as decoupled coordinates, or None if the model cannot be decoupled."""
+        """Modes that decouple the equations, or None if the model cannot be decoupled."""
         use_eigenvectors = MIN_UNKNOWNS < self.core.size <= MAX_STATES / self.core.degree
         return self._decoupling or (_compute_eigenvectors(self.core) if use_eigenvectors else None)
 
@@ -256,7 +256,7 @@ class DirectResponse(Response):
 
     @cached_property
     def _decoupling(self) -> Modes | None:
-        """None instead of decoupling modes, as each frequency is solved directly."""
+        """None, because direct solutions at each frequency need no decoupling modes."""
         return None
 
 
@@ -308,7 +308,7 @@ def _compute_finite_poles(rest: np.ndarray, inertia: np.ndarray) -> np.ndarray:
 def _mask_finite_poles(rest: np.ndarray) -> np.ndarray:
     """Return a mask of the decoupled equations that have a finite pole.
 
-    The pole of an equation is ``-rest / inertia``.
+    The decoupled equation ``(rest + s inertia) x = b`` has the pole ``s = -rest / inertia``.
     """
     return np.asarray(np.abs(1 - rest) * INFINITE_POLE_RATIO > 1)
 

@@ -76,13 +76,13 @@ def split_rigid_body(
 
     If there are no rigid-body modes, the result contains the unchanged pencil.
 
-    Symmetric and dissipative models have rigid-body modes X with ``K X = 0`` and ``X'K = 0``. For
-    symmetric and dissipative models, a congruence ``V'PV`` preserves the form of the matrices. The
-    inertia matrix does not couple X to the other coordinates, but damping may do so. All other
-    models are converted to first-order models. In a first-order model, the invariant subspaces of
-    the poles near zero separate the rigid-body modes. Whether a pole is near zero is decided
-    relative to ``omega`` [rad/s]. ``rounding`` contains bounds of the rounding errors of matrix
-    entries, if known.
+    A rigid-body mode X of a symmetric model, or of a dissipative model, satisfies ``K X = 0`` and
+    ``X^T K = 0``. For symmetric models, and for dissipative models, a congruence ``V^T P V``
+    preserves the symmetry and definiteness of the matrices P. The inertia matrix does not couple X
+    to the other coordinates, but damping may do so. All other models are converted to first-order
+    models. In a first-order model, the invariant subspaces of the poles near zero separate the
+    rigid-body modes. Whether a pole is near zero is decided relative to ``omega`` [rad/s].
+    ``rounding`` contains bounds of the rounding errors of matrix entries, if known.
     """
     rest, inertia = pencil.coefficients[0], pencil.coefficients[-1]
     X = _compute_null_space(rest, (rounding or _bound_rounding(pencil))[0])

@@ -20,7 +20,7 @@ from kc2spice.rom.response import (
 )
 from kc2spice.rom.transfer_function_error_scales import EntryScales
 
-# smallest relative change of a response due to rounding errors that the certificate mentions
+# The certificate mentions rounding errors if they change the response by more than this fraction.
 STATED_UNCERTAINTY = 1e-9
 # largest ratio of a response entry to its rounding error at which the entry counts as zero
 ZERO_ENTRY_FACTOR = 100.0
@@ -30,7 +30,7 @@ ZERO_SHARE = 0.5  # share of the tested frequencies at which a zero entry must b
 # number of lowest resonances, and of sharpest resonances, at which effects of rounding are
 # evaluated
 CHECKED_RESONANCES = 8
-RANDOM_TRIALS = 4  # largest number of trials with random units of the unknowns
+RANDOM_TRIALS = 4  # largest number of trials, each with random scale factors of the unknowns
 # An effect of rounding is negligible if it is below NEGLIGIBLE_SHARE times the target error.
 # The effects of rounding in different trials differ by a factor of less than 10.
 NEGLIGIBLE_SHARE = 0.01
@@ -87,10 +87,10 @@ def find_zero_entries(
 ) -> np.ndarray | bool:
     """Return a mask (outputs, inputs) of response entries that are zero by symmetry.
 
-    ``response`` is the response of the projection on V. In the response of the projection, an entry
-    that is zero by symmetry is negligible at nearly all frequencies of the band. At sharp
-    resonances of modes with equal frequencies, an entry that is zero by symmetry may contain a
-    large rounding error; the mask still includes the entry.
+    ``response`` is the response of the projection on V. The mask includes every entry of the
+    response that is negligible at all tested frequencies of the band. At sharp resonances of modes
+    with equal frequencies, an entry that is zero by symmetry may contain a large rounding error;
+    the mask still includes the entry.
     """
     at, ratio = response.select_visible_resonances(band)
     chosen = np.union1d(np.argsort(at)[:CHECKED_RESONANCES], np.argsort(ratio)[:CHECKED_RESONANCES])
@@ -162,16 +162,16 @@ def add_rounding_floor(
     model: IntermediateModel,
     target: float,
 ) -> IntermediateModel:
-    """Return the intermediate model, with its error due to rounding as ``floor``.
+    """Return the intermediate model with its response error due to rounding.
 
-    The attribute ``floor`` of the returned model is the effect of rounding errors. A change of the
-    units of the unknowns changes the rounding errors of the full model's matrix entries, but not
-    the exact response. Therefore, the function multiplies the unknowns of the full model by random
-    factors, and projects the rescaled model on the same basis V. The attribute ``floor`` is
-    computed from the largest change of the response due to the random factors. Thin bodies are
-    sensitive to rounding errors, because their elastic forces are small differences of large
-    forces. The trials end early if the change is negligible relative to ``target``, the required
-    error of the model.
+    The attribute ``floor`` of the returned model estimates the relative error of the response due
+    to rounding errors. A change of the units of the unknowns changes the rounding errors of the
+    full model's matrix entries, but not the exact response. Therefore, the function multiplies the
+    unknowns of the full model by random factors, and projects the rescaled model on the same basis
+    V. The attribute ``floor`` is computed from the largest change of the response due to the random
+    factors. Thin bodies are sensitive to rounding errors, because their elastic forces are small
+    differences of large forces. The trials end early if the change is negligible relative to
+    ``target``, the required error of the model.
     """
     exact = model.response
     at, ratio = exact.select_visible_resonances(band)

@@ -51,17 +51,19 @@ def prove_stability(
 ) -> StabilityProof:
     """Prove the stability and passivity of a full or reduced model, if possible.
 
-    The proof first uses the form of the matrices. A second-order model cannot gain energy if M and
-    K are symmetric positive semi-definite and ``E + E' >= 0``. Gyroscopic terms are allowed in E,
-    because they are skew-symmetric. If ``C = B'`` and D >= 0 are also true, the second-order model
-    is passive. The powers of the ports are force times velocity, and voltage times current. A
-    first-order model cannot gain energy if E is symmetric positive semi-definite and ``A + A' <=
-    0``. If ``C = B'`` and D >= 0 are also true, the first-order model is passive, and the power of
-    a port is input times output.
+    The proof first uses the symmetry and definiteness of the matrices. A second-order model cannot
+    gain energy if M and K are symmetric positive semi-definite and the damping matrix E satisfies
+    ``E + E^T >= 0``. Gyroscopic terms are allowed in E, because they are skew-symmetric. If ``C =
+    B^T`` and ``D + D^T >= 0`` are also true, the second-order model is passive. The powers of the
+    ports are force times velocity, and voltage times current. A first-order model cannot gain
+    energy if E is symmetric positive semi-definite and ``A + A^T <= 0``. If ``C = B^T`` and ``D +
+    D^T >= 0`` are also true, the first-order model is passive. The power of a port of a first-order
+    model is input times output.
 
-    If the form of the matrices does not prove stability, the poles show whether the model is
-    stable. Poles do not prove passivity. The poles of models with more than ``MAX_POLE_STATES``
-    states are not computed. The caller passes ``poles`` [1/s] if the poles are known.
+    If the symmetry and definiteness of the matrices do not prove stability, the poles show whether
+    the model is stable. Poles do not prove passivity. The poles of models with more than
+    ``MAX_POLE_STATES`` states are not computed. The caller passes ``poles`` [1/s] if the poles are
+    known.
     """
     try:
         dissipates = is_dissipative(pencil)
@@ -200,7 +202,8 @@ def _is_sparse_semidefinite(matrix: Matrix, order: np.ndarray | None = None) -> 
     The diagonal of the matrix is first scaled to one. If the Lanczos method proves that all
     eigenvalues of a large matrix are positive, the result is True. If the Lanczos method gives no
     proof, a small multiple of the machine precision is added to the diagonal of the matrix. If the
-    matrix with the larger diagonal has a Cholesky factor, the original matrix is semidefinite.
+    matrix with the increased diagonal has a Cholesky factor, the matrix without the increase counts
+    as semidefinite.
     """
     if not find_largest_entry(matrix):
         return True

@@ -27,9 +27,9 @@ def convert_to_state_space(pencil: Pencil, top_hz: float | None = None) -> ABCD:
     If a stored energy is defined for the model, the square of each scaled state is an energy. With
     these states, ``A + A' <= 0`` for a dissipative model, ``A = -A'`` for a model without losses,
     and ``A = A'`` for a symmetric first-order model. For a decoupled second-order model, A contains
-    one 2 x 2 block for each mode. Displacements without a modal stiffness are scaled by the angular
-    frequency of ``top_hz`` [Hz], the end of the band. Without ``top_hz``, the ratio of stiffness to
-    mass gives the scale factor.
+    one 2 x 2 block for each mode. Displacements of rigid-body modes, and of models with an
+    unsymmetric K, are scaled by the angular frequency of ``top_hz`` [Hz], the end of the band.
+    Without ``top_hz``, the ratio of stiffness to mass gives the scale factor.
 
     Raises
     ------

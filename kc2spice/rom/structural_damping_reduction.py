@@ -1,17 +1,19 @@
 """Reduction of models with structural damping, and removal of negligible inertia.
 
-Structural damping means a complex stiffness ``K + j H``, or ``K (1 + j eta)`` for one material. A
-body with structural damping loses the same share of energy at every frequency. A causal model with
-a constant stiffness cannot lose the same share of energy at every frequency. Therefore, this module
-approximates structural damping by a passive model. Each mode j gets the viscous damping ``h_j /
-w_j``, which is exact at the resonance frequency w_j. Modes get relaxations instead if relaxations
-are more accurate (:mod:`kc2spice.rom.lossy_modes`). The error estimate includes the error of the
+Structural damping means a complex stiffness ``K + j H``, or ``K (1 + j eta)`` for one material. In
+each cycle, a body with structural damping loses the same share of its energy at every frequency. A
+causal model with a constant stiffness cannot lose the same share of energy per cycle at every
+frequency. Therefore, this module approximates structural damping by a passive model. Each mode j
+gets the viscous damping ``h_j / w_j``, which is exact at the resonance frequency w_j. Relaxations,
+which are springs in series with dampers, are used for a mode if they are more accurate than viscous
+damping alone (:mod:`kc2spice.rom.lossy_modes`). The error estimate includes the error of the
 passive approximation. The losses of several materials couple modes. This coupling of the modes i
 and j becomes the viscous damping ``h_ij / (w_i w_j)^(1/2)``.
 
-The poles of an RC ladder or of an overdamped chain are real. If inertia has a negligible effect on
-a model with real poles in the band, the model ``E x' + K x = B u`` without inertia replaces the
-model. The model without inertia has one state per unknown instead of two, and is also passive.
+The poles of an RC ladder or of an overdamped chain are real. If all poles of a reduced model are
+real and inertia has a negligible effect in the band, inertia is omitted. The result is the
+first-order model ``E x' + K x = B u``. The first-order model has one state per unknown instead of
+two, and is also passive.
 
 Sources: S. H. Crandall, J. Sound Vib. 11 (1970) 3; D. J. Ewins, Modal Testing (2000), 2.4.
 """
@@ -44,7 +46,7 @@ from kc2spice.rom.transfer_function_error_scales import EntryScales, get_min_rel
 
 Reductor = Callable[[LinearModel, float, tuple[float, float]], LinearModel]
 
-# safety factor of differences at samples, because differences between samples may be larger
+# safety factor of errors at sampled frequencies, because errors at other frequencies may be larger
 SAFETY_FACTOR = 1.15
 # permitted error of the reduction with viscous damping, relative to the tolerance
 VISCOUS_SHARE = 0.5
@@ -60,7 +62,7 @@ LOWEST_FREQUENCIES = 10.0 ** -np.arange(9.0, 4.0, -1.0)
 MAX_ERROR_RATIO = 0.5
 # A mode gets no relaxation terms if (its error / error limit) is at most UNCHANGED_SHARE.
 UNCHANGED_SHARE = 0.1
-REAL_POLE_TOLERANCE = 1e-6  # largest relative imaginary part of a real pole
+REAL_POLE_TOLERANCE = 1e-6  # a pole counts as real up to this ratio of imaginary part to magnitude
 # A damping value counts as zero if (value / largest value of the matrix) is at most ZERO_DAMPING.
 ZERO_DAMPING = 1e-12
 MASSLESS_SHARE = 0.5  # permitted error due to omitted inertia, relative to the tolerance
@@ -328,7 +330,7 @@ class _PassiveModelSearch:
         return float((peaks / (EntryScales.from_response(exact).peak + np.finfo(float).tiny)).max())
 
 
-NO_RELAXATIONS = np.empty(0), np.empty(0)  # empty amplitudes and rates of relaxations
+NO_RELAXATIONS = np.empty(0), np.empty(0)  # empty arrays of relaxation amplitudes and rates
 
 
 def make_loss_viscous(model: LinearModel, beta: float) -> tuple[LinearModel, tuple[float, float]]:

@@ -160,13 +160,14 @@ def compute_time_errors(
     """Compute relative rms errors of a reduced model over time, keyed by output.
 
     The errors are the differences from the responses of ``rich``, a model with more states. Both
-    models respond to the ``load`` (n, inputs) at the times ``t`` (n,). The difference at an output
-    is divided by the largest rms change of this output. The rms change is computed for all loads
-    together, for each group of inputs alone, and for the direct term D of each input alone.
-    ``groups`` contains a mask of inputs for each group. If the effects of two groups of loads
-    cancel, the error is divided by the larger of the two effects, not by the small total effect.
-    For example, effects of loads may cancel in the voltage across an open electrode. Return None if
-    the response of a model cannot be computed.
+    models respond to the ``load`` (n, inputs) at the times ``t`` (n,). The error of an output is
+    the rms difference between the two models, divided by the largest rms deviation of the output
+    from its first value. The rms deviation of each output is computed for all loads together, for
+    each group of inputs alone, and for the direct term D of each input alone. ``groups`` contains a
+    mask of inputs for each group. If the effects of two groups of loads cancel, the error is
+    divided by the larger of the two effects, not by the small total effect. For example, effects of
+    loads may cancel in the voltage across an open electrode. Return None if the response of a model
+    cannot be computed.
     """
     ours = compute_time_response(small, t, load)
     alone = [compute_time_response(rich, t, load * group) for group in groups]

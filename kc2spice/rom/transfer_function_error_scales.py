@@ -23,7 +23,7 @@ BALANCING_STEPS = 40  # number of iterations; each iteration halves the logarith
 
 
 def get_min_relative_divisor(norm: str) -> float:
-    """Return the minimum divisor of errors in ``norm``, relative to the peak response.
+    """Return the smallest divisor of response errors, relative to the peak response.
 
     A relative error is an absolute error divided by the magnitude of the response. In the norm
     ``pointwise``, the divisor is at least a small fraction of the response's peak. In all other
@@ -37,8 +37,9 @@ class EntryScales:
     """Magnitude scales for relative errors of each response entry (output, input).
 
     ``peak`` is the largest magnitude of each entry. Entries in the mask ``zero`` contain only
-    rounding errors. For entries in the mask ``zero``, ``peak`` is the product ``rows * columns``,
-    which is a typical magnitude of the other entries in the same row and column.
+    rounding errors. For entries in the mask ``zero``, ``peak`` is the row's scale in ``rows`` times
+    the column's scale in ``columns``. The product of the row's scale and the column's scale is a
+    typical magnitude of the nonzero entries in the same row and column.
     """
 
     peak: np.ndarray

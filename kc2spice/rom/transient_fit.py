@@ -32,12 +32,13 @@ from kc2spice.core.equality import EqualByContent
 from kc2spice.rom.heat_network import FosterNetwork, compute_step_basis
 
 PER_DECADE = 8  # number of time constants per decade of the grid
-SHORTEST = 1 / 3  # smallest time constant, relative to the first time after the step
-LONGEST = 10.0  # largest time constant, relative to the last time of the samples
+# smallest permitted time constant, relative to the time of the first sample after the step
+SHORTEST = 1 / 3
+LONGEST = 10.0  # largest permitted time constant, relative to the time of the last sample
 MOST_CONSTANTS = 12  # largest number of time constants of a network: two for each of six decades
 POLISH = 200  # largest number of function evaluations in a refinement
-# Tolerances of the sum of squares, the parameters and the gradient at which a refinement ends. The
-# tolerances are so small that rounding errors of the samples do not change printed digits.
+# Tolerances of the sum of squares, the parameters and the gradient at which a refinement ends.
+# With the tolerances EXACT, rounding errors of samples do not change the printed digits of a fit.
 EXACT = {"ftol": 1e-14, "xtol": 1e-11, "gtol": 1e-14}
 # Number of groups of samples per decade of time.
 # The fit compares the mean of the samples in a group with the mean of the network's response.
@@ -217,7 +218,10 @@ def _merge_best_pair(samples: StepSamples, constants: np.ndarray) -> np.ndarray:
 def _refine_network(
     samples: StepSamples, constants: np.ndarray, limits: tuple[float, float], noise: float
 ) -> TransientFit:
-    """Refine resistances and time constants within ``limits`` [s] by least squares."""
+    """Refine resistances and time constants by least squares.
+
+    The refined time constants stay within ``limits`` [s].
+    """
     resistance, start = _fit_resistances(samples, constants)
     nonzero = resistance > EMPTY * resistance.max(initial=0.0)
     if not nonzero.any():

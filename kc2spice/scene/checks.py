@@ -38,14 +38,14 @@ class Check:
     The value must not exceed ``limit``. The value is NaN if the run did not reach the checked
     event. ``advice`` states what to do if the check is violated. ``action`` is the effect of a
     violation on the run. ``coarse`` is true if too large time steps can cause a violation of the
-    check. A repeated run with tighter tolerances may pass a check with ``coarse = True``. If
-    ``wiring`` is true, the check compares the netlist with the scene. In an edited deck, netlist
+    check. If only checks with ``coarse = True`` fail, the run is repeated with tighter tolerances.
+    If ``wiring`` is true, the check compares the netlist with the scene. In an edited deck, netlist
     and scene may differ intentionally, so a violated ``wiring`` check of an edited deck only prints
     a warning. ``suggested`` contains dotted keys with values that avoid the violation.
     ``suggested`` is empty if no key values are known that avoid the violation, or if the scene
     itself sets the keys. If ``discretisation`` is true, the check compares a model with a finer
-    model at the frequencies of the run. For a transient, the command ``verify`` reports a check
-    with ``discretisation`` only if ``verify`` does not solve the scene with the finer model.
+    model at the frequencies of the run. If the command ``verify`` solves a transient with a finer
+    model, ``verify`` omits checks with ``discretisation = True``.
 
     If ``loaded`` is true, the value is the relative error of a reduced body under the recorded
     loads of a transient. In a check of a motion, ``distance`` is the smallest distance between an
@@ -55,8 +55,8 @@ class Check:
     ``found`` and ``accepted`` are texts for the error message of a violated check. ``found`` states
     the result of the run, such as ``heights from 2 mm to 9 mm``. ``accepted`` states the permitted
     results, such as ``heights from 0 mm to 8 mm``. ``found`` and ``accepted`` are set only if a
-    violation of the check is due to a value in the scene. If a violated check has the text
-    ``accepted``, the error message names the key to change, so no files of the failed run are kept.
+    violation of the check is due to a value in the scene. If ``accepted`` is set, no files of a run
+    that fails the check are kept, because the error message already names the key to change.
     """
 
     name: str
@@ -175,8 +175,8 @@ class Gate:
     ``limits`` contains the largest accepted difference for each pair of solutions. ``measure``
     states how the difference is measured:
 
-    * *relative*: difference of each value divided by the value (arrays: values above 1e-6 of the
-      largest value);
+    * *relative*: difference of each value divided by the value; values of a waveform below 1e-6 of
+      its largest value are ignored;
     * *absolute*: difference in ``unit``; *travel*: difference divided by the range of the waveform;
     * *largest*: difference divided by the largest value of all waveforms;
     * *spectral*: difference of each entry of a response, divided by the magnitude of the entry or
@@ -185,8 +185,8 @@ class Gate:
     ``share`` is the compared fraction of the time or frequency range, counted from the start of the
     range. For each pair of solutions, a verification records one error: the largest difference
     among all gates with ``is_main = True``. If ``discretisation`` is true, a transient is compared
-    with a solution on a finer mesh. Only parts with a gate for their discretisation get the finer
-    mesh.
+    with a solution on a finer mesh. Only a part that has a gate with ``discretisation = True`` is
+    solved on a finer mesh.
     """
 
     description: str

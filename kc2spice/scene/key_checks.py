@@ -306,7 +306,7 @@ def _check_unused_keys(selected: Analysis) -> Iterator[UsageError]:
 
 
 def _warn_of_unused_solver_keys(scene: Scene) -> None:
-    """Warn about ``solver`` keys without effect, because the run has no time steps."""
+    """Warn about ``solver`` keys that have no effect in a run without time steps."""
     kind, stated = scene.analysis.type, scene.solver.model_fields_set
     for key in TRANSIENT_SOLVER_KEYS if kind != "transient" else ():
         if key in stated and getattr(scene.solver, key) is not None:
@@ -323,7 +323,7 @@ def check_periods(scene: Scene) -> Iterator[UsageError]:
 
 
 def _check_period_count(where: str, count: int, scene: Scene) -> Iterator[UsageError]:
-    """Yield an error if the analysis does not contain a given number of periods."""
+    """Yield an error if the run does not contain at least ``count`` periods."""
     if scene.analysis.type != "transient":
         yield UsageError(
             "the key `periods` needs a transient analysis",

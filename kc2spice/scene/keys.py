@@ -70,8 +70,9 @@ def _find_default(field: FieldInfo) -> Any:
 def list_all_keys() -> Iterator[KeyDescription]:
     """Yield all keys of scenes: keys outside of parts, then keys of part types.
 
-    The keys of a part type have the name of the part type as prefix. If a part type has a default
-    table, which needs no key ``part``, the prefix is the name of this table.
+    The keys of a part type have the name of the part type as prefix. If a table name, such as
+    ``kick``, selects a part type without the key ``part``, the prefix of the type's keys is this
+    table name.
     """
     yield from list_schema_keys(SceneKeys)
     for name, kind in load_part_types().items():

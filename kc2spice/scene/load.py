@@ -143,8 +143,8 @@ def _warn_of_replaced_overrides(
 ) -> None:
     """Warn about each earlier override that a later override of key ``name`` replaces.
 
-    ``typed`` contains the origins of the earlier overrides by path, ``path`` and ``place`` are the
-    path and the origin of the later override.
+    ``typed`` contains the origins of the earlier overrides, keyed by path. ``path`` and ``place``
+    are the path and the origin of the later override.
     """
     excluded = (*path[:-1], EXCLUSIVE_KEYS.get(name, ""))
     for other, earlier in typed.items():
@@ -362,7 +362,7 @@ def _add_default_drive(scene: Scene) -> Scene:
 def _advise_drive(scene: Scene, ports: Sequence[tuple[str, str]]) -> str:
     """Return a hint that adds an amplitude, or a source, for the ``ac`` analysis.
 
-    If the scene has a source, the hint adds an amplitude to this source, preferably to a source at
+    If the scene has sources, the hint adds an amplitude to one source, preferably to a source at
     one of the ``ports``. Otherwise, the hint contains a table for a source that drives the first of
     the ``ports``. If ``ports`` is empty, the source drives the first pin of the scene that carries
     a flow, such as a force or a current.
@@ -494,8 +494,9 @@ def _find_part_type(name: str, table: Mapping[str, Any]) -> PartType:
 def make_unknown_type_error(selected: object, where: str, advice: str) -> UsageError:
     """Make the error for a text that is not the name of a part type.
 
-    A part number of the catalogue has its own error, because the number determines the part type
-    and its keys. ``advice`` is the hint of the error message if no part type has a similar name.
+    If the text is a part number of the catalogue, the error names the part type to use instead, and
+    the command that prints its keys. ``advice`` is the hint of the error message if no part type
+    has a similar name.
     """
     sold = find_part(selected) if isinstance(selected, str) else None
     if sold is None:
@@ -522,11 +523,11 @@ def _make_part(
 ) -> Part:
     """Make the part that a table of the scene describes.
 
-    ``at`` is the path of the table in the file, by default ``(name,)``. ``short`` contains the
-    names of all tables of the scene if the name of the part's table implies the part type;
-    otherwise, ``short`` is empty. The defaults of a part may depend on the names in ``short``. For
-    example, a table ``harmonic`` removes the default pulse of a stack. ``tables`` are all tables of
-    the scene; errors suggest pins from ``tables``.
+    ``at`` is the path of the table in the file, by default ``(name,)``. If the name of the part's
+    table implies the part type, ``short`` contains the names of all tables of the scene. If the key
+    ``part`` states the part type, ``short`` is empty. The defaults of a part may depend on the
+    names in ``short``. For example, a table ``harmonic`` removes the default pulse of a stack.
+    ``tables`` are all tables of the scene; errors suggest pins from ``tables``.
     """
     pins = table.get("pins", {})
     if not isinstance(pins, Mapping) or not all(isinstance(v, str) for v in pins.values()):

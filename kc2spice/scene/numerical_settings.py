@@ -82,7 +82,7 @@ class NumericalSetting:
 
 
 def find_numerical_settings(build: BuiltScene) -> tuple[NumericalSetting, ...]:
-    """Return the numerical settings of a scene that can be refined.
+    """Return those numerical settings of a scene that a run can refine.
 
     The settings include the largest time step, if the step is known or is set in the scene.
     """
@@ -90,7 +90,7 @@ def find_numerical_settings(build: BuiltScene) -> tuple[NumericalSetting, ...]:
 
 
 def find_finest_settings(build: BuiltScene) -> tuple[NumericalSetting, ...]:
-    """Return the numerical settings of a scene that are already at their finest value.
+    """Return those numerical settings of a scene that already have their finest value.
 
     Only a run with a coarser value can estimate the error of such a setting.
     """
@@ -256,11 +256,11 @@ def _estimate_mesh_error(setting: NumericalSetting, build: BuiltScene) -> float 
 def describe_plan(build: BuiltScene) -> dict[str, Any]:
     """Return the plan of a run, which becomes the entry ``plan`` of ``result.json``.
 
-    ``parts`` contains the ``source`` and the description (``detail``) of the model of each part.
-    ``joins`` describes the nets. ``frames`` describes the reference frames of displacements.
-    ``left_out`` lists each neglected effect once. ``settings`` lists the numerical settings. The
-    ``error`` of a setting is the estimated relative error, or None if the error is not known before
-    a run.
+    ``parts`` contains the origin of each part's model (``source``), such as a data sheet, and a
+    description of the model (``detail``). ``joins`` describes the nets. ``frames`` describes the
+    reference frames of displacements. ``left_out`` lists each neglected effect once. ``settings``
+    lists the numerical settings. The ``error`` of a setting is the estimated relative error, or
+    None if the error is not known before a run.
     """
     scene = build.scene
     parts = []

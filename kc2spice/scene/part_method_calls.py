@@ -29,7 +29,7 @@ from kc2spice.scene.scene_classes import (
 
 
 def resolve(scene: Scene) -> Scene:
-    """Resolve a scene: join its parts, and add reference frames and records of parts.
+    """Resolve a scene: join pins, find reference frames, and add a record per part.
 
     Raises
     ------
@@ -134,7 +134,7 @@ def _find_movers(
 def _find_initial_states(
     governed_parts: Mapping[str, Mapping[str, InitialState | Governed]],
 ) -> dict[str, InitialState]:
-    """Return the states at t = 0 that keys prescribe, keyed by part.
+    """Map the name of each part with a prescribed state at t = 0 to this state.
 
     A transient with prescribed states does not start at an operating point. If a part prescribes
     its own initial state and a second part also prescribes it, the value of the second part is

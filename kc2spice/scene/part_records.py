@@ -1,4 +1,7 @@
-"""Records about parts: initial states, results, numerical requirements and frames."""
+"""Records of parts: initial states, results and numerical requirements.
+
+The module also contains the records of accelerated reference frames.
+"""
 
 from __future__ import annotations
 
@@ -160,7 +163,7 @@ class SweptSource:
 
 @dataclass(frozen=True, eq=False)
 class DcSweep(EqualByContent):
-    """Sweep of a dc analysis, with the varied key and the varied source.
+    """Sweep of a dc analysis: a key of the scene varies the value of one source.
 
     Attributes
     ----------
@@ -267,7 +270,10 @@ class AcceleratedFrame:
 
     @property
     def node_cosines(self) -> frozenset[tuple[str, float | None]]:
-        """Pairs of acceleration node and direction cosine; equal frames have equal pairs."""
+        """Pairs (acceleration node, direction cosine) that identify a reference frame.
+
+        Two displacements have the same frame of reference if their frames have equal pairs.
+        """
         return frozenset((shake.net, shake.along) for shake in self.shakes)
 
     @property

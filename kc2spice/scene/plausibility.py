@@ -33,7 +33,7 @@ class ImplausibleValueError(UsageError):
 
 
 class UnusualValueError(ImplausibleValueError):
-    """Error about a value outside of its usual range, which is printed as a warning."""
+    """Error, printed as a warning, about a value outside of its usual range."""
 
 
 MAX_LAYER_ASPECT = 10.0  # largest plausible thickness of a layer, relative to its width
@@ -175,7 +175,8 @@ def check_layers(
 def check_drive_levels(scene: Scene) -> Iterator[UsageError]:
     """Yield an error for each source with a voltage far above an electrode's rating.
 
-    A voltage slightly above the rated voltage, or far below the rated voltage, causes a warning.
+    A voltage from 1 to ``BREAKDOWN_RATIO`` times the rated voltage causes a warning. A voltage
+    below ``LOWEST_DRIVE_RATIO`` times the rated voltage also causes a warning.
     """
     rated = {name: pin.rated for (name, _), pin in scene.terminals.items() if pin.rated}
     for body, limit in rated.items():
@@ -234,7 +235,7 @@ def check_model_masses(build: BuiltScene) -> Iterator[UsageError]:
 
 
 def check_usual_results(waves: Waveforms, build: BuiltScene) -> Iterator[Check]:
-    """Yield a violated check for each unit whose results leave their usual range.
+    """Yield a violated check for each SI unit with a result out of its usual range.
 
     The check reports the result that exceeds the range most. The linear responses of an ``ac`` or
     ``noise`` analysis are not checked, because their amplitudes may be arbitrary.

@@ -25,8 +25,8 @@ def require_probed_results(build: BuiltScene) -> None:
 
     Raises
     ------
-    UsageError : a probed result does not exist. The error contains the key of the probe and
-        existing results.
+    UsageError : a probed result does not exist. The error states the key of the probe and the
+        names of existing results.
     """
     scene = build.scene
     waiting = set()

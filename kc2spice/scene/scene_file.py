@@ -40,8 +40,9 @@ def list_gallery() -> dict[str, Traversable]:
 class SceneFile:
     """Text of a scene file, overrides of its keys, and methods that locate keys.
 
-    If an override sets a key to a file name, ``override_folders`` contains the folder of the file,
-    keyed by the path of the key.
+    If an override sets a scene key to a file name, ``override_folders`` contains the folder to
+    which the file name is relative. ``override_folders`` is indexed by scene keys, each as a tuple
+    of names.
     """
 
     label: str
@@ -101,8 +102,8 @@ class SceneFile:
     def locate_key(self, key: str) -> str:
         """Return the override, or the line of the file, that sets a key.
 
-        An example of a key is ``disc.layers.0.diameter``. For an empty key, return the name of the
-        scene or file.
+        An example of a key is ``disc.layers.0.diameter``. For an empty key, return ``label``: the
+        name of a built-in scene, a part number, or the path of a scene file.
         """
         if not key:
             return self.label

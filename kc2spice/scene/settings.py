@@ -131,8 +131,9 @@ class RomKeys(Section):
 class SolverKeys(Section):
     """Keys of ngspice settings, which are written to the deck."""
 
-    # Limit 1e-7: with a smaller tolerance, rounding errors prevent convergence in ngspice.
-    # Limit 1e-12: below 1e-14, which two retries reach, ngspice stops with too small time steps.
+    # The finest ``reltol`` is 1e-7: below 1e-7, rounding errors prevent convergence in ngspice.
+    # The smallest ``reltol`` is 1e-12, because two retries reduce ``reltol`` by a factor of 100.
+    # With a ``reltol`` below 1e-14, ngspice stops because its time steps become too small.
     reltol: Annotated[Ratio, RefinementRule(0.1, finest=1e-7)] = Field(
         1e-4, ge=1e-12, lt=1, description="Relative error tolerance of ngspice (option RELTOL)"
     )

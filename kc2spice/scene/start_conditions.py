@@ -146,7 +146,7 @@ def _list_storage_errors(
     scene: Scene,
     conditions: Mapping[str, EquilibriumConditions],
 ) -> Iterator[UsageError]:
-    """List errors about nets whose stored heat or volume has no operating point.
+    """List errors about thermal and acoustic nets that have no equilibrium.
 
     In ``op`` and ``dc`` analyses, each net without a path to its reference is an error. In all
     other analyses, a net without a path to its reference is an error only if a constant flow enters
@@ -212,9 +212,10 @@ def _map_nets_to_units(scene: Scene) -> dict[str, str]:
 
 
 def _group_nets(scene: Scene, pairs_of_parts: Iterable[tuple[str, Pairs]]) -> list[frozenset[str]]:
-    """Group the nets that are linked by paths between two pins of a part.
+    """Group the nets that parts connect through pairs of their pins.
 
-    Pairs of pins on nets that need no path to a reference, such as electrical nets, are ignored.
+    For each part, ``pairs_of_parts`` contains the pairs of its pins that it connects. Pairs of pins
+    on nets that need no path to a reference, such as electrical nets, are ignored.
     """
     union = DisjointGroups(units := _map_nets_to_units(scene))
     for name, pairs in pairs_of_parts:
@@ -227,7 +228,8 @@ def _group_nets(scene: Scene, pairs_of_parts: Iterable[tuple[str, Pairs]]) -> li
 
 def _describe_group(group: frozenset[str], scene: Scene) -> FloatingNets:
     """Return the record of a group of nets, with its parts and its domain."""
-    domains: dict[str, Domain] = {}  # domain of each part's first pin on the nets, keyed by part
+    # domain of the first pin of each part that is on a net of the group, keyed by part name
+    domains: dict[str, Domain] = {}
     for key, terminal in scene.terminals.items():
         if terminal.domain is not None and terminal.needs_path and scene.nets[key] in group:
             domains.setdefault(key[0], terminal.domain)

@@ -19,9 +19,10 @@ class Engine:
     """Engine that runs the decks of a scene in ngspice, as a process or as a library.
 
     ``directory`` contains the files of a run. If Python functions set the ``sampled`` sources,
-    ngspice runs as a library. ``refinements`` are additional small-signal analyses with closely
-    spaced frequencies near resonances and at probes. If ``from_rest`` is true, each refinement is a
-    separate run. In a single run, ngspice would begin each search for an operating point at the
+    ngspice runs as a library. ``refinements`` are additional small-signal analyses: with closely
+    spaced frequencies near resonances, and at single frequencies that probes state. If
+    ``from_rest`` is true, ngspice runs separately for each of the additional analyses
+    ``refinements``. In a single run, ngspice would begin each search for an operating point at the
     previous solution, and might find another operating point. ``timeout`` is the largest wall-clock
     time [s] of a run.
     """

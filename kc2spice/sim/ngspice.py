@@ -147,10 +147,10 @@ def run_deck(
     Raises
     ------
     MissingToolError : ngspice is not installed.
-    FailedRunError : ngspice failed, stopped early, or ignored or replaced a card in a deck that is
-        not trusted. The error message states the cause, the node and the time of the failure, the
-        part that failed, and the directory that contains ``NAME.log``. The error contains the
-        waveforms up to the failure.
+    FailedRunError : ngspice failed or stopped early. The error is also raised if ngspice ignored or
+        replaced a card of a deck that is not trusted. The error message states the cause, the node
+        and the time of the failure, the part that failed, and the directory that contains
+        ``NAME.log``. The error contains the waveforms up to the failure.
     UsageError : even with the largest time step, the run would write more than ``MAX_RAW_BYTES``
         bytes.
     SimulationError : the run exceeds ``timeout``, or the raw file is incomplete or too large. The
@@ -215,7 +215,10 @@ def _reject_large_deck(deck: Deck) -> None:
 
 
 def _estimate_raw_bytes(deck: Deck) -> float:
-    """Return the smallest possible size [byte] of a transient's raw file, otherwise 0."""
+    """Return the smallest possible size [byte] of the raw file of a transient.
+
+    The result is 0 for a deck without a largest time step or without an end time.
+    """
     if not deck.max_step or deck.stop is None:
         return 0.0
     return 8.0 * (1 + len(deck.saved_vectors)) * deck.stop / deck.max_step
@@ -381,13 +384,14 @@ class RetrySetting:
 
 
 FIRST_SETTING = RetrySetting("the scene's own settings", (), "")
-# These retry settings were tested with the kick scene and contact penalties of 1e11 and 1e12 N/m.
-# Without a retry setting, the kick scene fails at 1e11 and 1e12 N/m with "timestep too small".
+# The retry settings were tested with the scene ``kick_and_catch`` and contact penalties of 1e11 and
+# 1e12 N/m. Without a retry setting, the scene ``kick_and_catch`` fails with "timestep too small" if
+# its contact penalty is 1e11 or 1e12 N/m.
 # Runs with larger pivot thresholds succeed, and take 1.2 to 2 times the CPU time per time point.
 # With the default pivot thresholds, Gear integration, tighter tolerances or more iterations do not
-# prevent the failure of the kick scene.
-# With larger pivot thresholds, Gear integration also damps the rounding noise.
-# Rounding noise slows the trapezoidal rule down.
+# prevent the failure of the scene ``kick_and_catch``.
+# Even with larger pivot thresholds, rounding noise slows the trapezoidal rule down.
+# Gear integration with larger pivot thresholds damps the rounding noise.
 # The error of Gear integration per step is about twice the error of the trapezoidal rule.
 RETRY_SETTINGS = (
     RetrySetting(
@@ -492,8 +496,9 @@ def run_with_retries(
 
     Raises
     ------
-    RetriesFailedError : the last attempt failed. The error message contains node, time and part of
-        the failure, all settings, and possible remedies.
+    RetriesFailedError : the last attempt failed. The error states the node, the time and the part
+        at which the run failed. The error also lists the settings of all attempts, and possible
+        remedies.
     SimulationError, MissingToolError : a failure that no setting can prevent, as in
         :func:`run_deck`.
     """

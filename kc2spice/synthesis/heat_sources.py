@@ -43,7 +43,8 @@ def write_inertial_mode_loss_card(index: int, velocity: tuple[str, str], power: 
     velocity : tuple of str
         Nodes between which the voltage is the velocity of the mode.
     power : float
-        Power [W] for a velocity of 1 V, if the parameter ``damping`` is one.
+        Power [W] if the voltage between the nodes ``velocity`` is 1 V and the parameter ``damping``
+        has the value 1.
 
     Examples
     --------
@@ -68,8 +69,8 @@ def write_massless_mode_loss_card(
     node : tuple of str
         Nodes between which the voltage is the state of the mode.
     power : float
-        Power [W] that a voltage of 1 V dissipates if the parameter ``damping`` is one. The voltage
-        is the sum of the drives minus the state of the mode.
+        Power [W] that a voltage of 1 V dissipates if the parameter ``damping`` has the value 1. The
+        voltage is the sum of the drives minus the state of the mode.
 
     Examples
     --------

@@ -123,11 +123,12 @@ def write_resonators(
 
         C q' = C w p,    C p' = -C w q - C d p + (C s / w) sum_k g_k u_k
 
-    The default ``weights`` give ``C = 1 uF min(1, (w / 3 w_1)^2)``. Time step control limits the
-    charge error, which is ``C`` times the displacement error. A mode with a small capacitance
-    hardly limits the time steps. Slow modes hardly affect a contact, but ring long after the
-    contact has ended. Therefore, slow modes have small capacitances, so that their ringing hardly
-    limits the time steps. If 1 / Q is below :data:`LIGHT_DAMPING`, ``p_j = q_j + q_j' / w_j``, see
+    The default ``weights`` give ``C = 1 uF min(1, (w / (3 w_1))^2)`` with the lowest angular
+    frequency w_1 of all modes with inertia. Time step control limits the charge error, which is
+    ``C`` times the displacement error. A mode with a small capacitance hardly limits the time
+    steps. Slow modes hardly affect a contact, but continue to ring after the contact has ended.
+    Therefore, slow modes have small capacitances, so that their ringing hardly limits the time
+    steps. If 1 / Q is below :data:`LIGHT_DAMPING`, ``p_j = q_j + q_j' / w_j``, see
     :func:`_write_mode`. A mode without inertia has only the state q with ``C q' = -G q + (G s /
     w^2) sum_k g_k u_k`` and ``C = G d / w^2``.
     """

@@ -100,7 +100,7 @@ def subcircuit(
     Parameters
     ----------
     rom : LinearModel
-        Linear model in SI units, such as :func:`kc2spice.reduce` returns.
+        Linear model in SI units, for example the result of :func:`kc2spice.reduce`.
     name : str
         Name of the subcircuit and of its library file.
     header : Header, optional
@@ -136,7 +136,8 @@ def subcircuit(
 
     Examples
     --------
-    A mass of 10 g on a spring of 100 N/m and a damper of 0.1 N s/m has one mechanical pin.
+    A mass of 10 g on a spring of 100 N/m and a damper of 0.1 N s/m has one mechanical port, which
+    gives the subcircuit the pin ``tip``. The pin ``base`` is the reference of displacements.
 
     >>> import numpy as np
     >>> import kc2spice as kc
@@ -242,7 +243,9 @@ def _make_heat_subcircuit(rom: LinearModel, name: str, header: Header, rating: s
     """Return the subcircuit of a heat model."""
     pins, common = list_heat_pins(rom, name)
     cards = write_heat_model(rom, common)
-    base = common if len(pins) > 2 else ""  # RC circuits need no pivot cards
+    # A heat model with only two pins consists of resistors and capacitors.
+    # Circuits of resistors and capacitors need no cards for a short first time step.
+    base = common if len(pins) > 2 else ""
     return make_subcircuit(
         rom, name, pins, base, (), header, cards, **make_heat_header_texts(rating)
     )
@@ -290,12 +293,12 @@ def make_subcircuit(
     """Return the subcircuit of a reduced model, with a header.
 
     ``cards`` contains comments about the circuit, and the cards of its elements. ``base`` is the
-    reference pin of the pivot cards. Pivot cards enforce a short first time step, in which ngspice
-    chooses its pivots. If all elements are passive, ngspice needs no short first time step to
-    choose its pivots, and ``base`` is empty. ``losses`` are the cards of heat flows from losses;
-    they follow the cards of the elements. With ``losses``, the subcircuit has heat pins. ``words``
-    contains three texts for the header: ``title``, ``rating``, and ``valid``, the range of
-    validity.
+    name of the reference pin, to which the cards for a short first time step are connected. In the
+    short first time step, ngspice chooses the pivots of its equations. Circuits of passive elements
+    need no short first time step; for such circuits, ``base`` is empty. ``losses`` are the cards of
+    heat flows from losses; they follow the cards of the elements. With ``losses``, the subcircuit
+    has heat pins. ``words`` contains three texts for the header: ``title``, ``rating``, and
+    ``valid``, the range of validity.
 
     The error estimate in the header is the circuit error plus the error estimate of the
     certificate. The circuit is compared with ``rom`` at the default values of the parameters, and
@@ -366,7 +369,10 @@ def _summarise_reduction(
 
 
 def _decouple_states(rom: LinearModel, dense: bool) -> Resonators | BlockModel:
-    """Return the model as resonators if possible, otherwise as blocks of states.
+    """Return the model in modal coordinates if possible, otherwise as a BlockModel.
+
+    Modal coordinates give resonators that are not coupled. A :class:`BlockModel` consists of blocks
+    of first-order states; only states in one block are coupled.
 
     States without damping and inertia follow the inputs without delay. The feedthrough matrix D of
     a :class:`BlockModel` contains the response of states without damping and inertia.

@@ -170,10 +170,10 @@ def _remove_rounding_errors(matrix: np.ndarray) -> np.ndarray:
 class _ModalNetwork:
     """Network of heat modes at default parameters, and changes of its matrices K, E.
 
-    ``changes`` are the texts of the differences ``f_t(p) - f_t(p_0)``.
-    ``stiff`` and ``stored`` are the matrices K_t and E_t by which the ``changes`` are multiplied.
-    ``stiff`` and ``stored`` have the shape (n, modes, modes), with one matrix for each of the n
-    texts in ``changes``.
+    ``changes`` are the expressions of the differences ``f_t(p) - f_t(p_0)``, as texts. ``stiff``
+    and ``stored`` are the matrices K_t and E_t by which the ``changes`` are multiplied. ``stiff``
+    and ``stored`` have the shape (n, modes, modes), with one matrix for each of the n expressions
+    in ``changes``.
     """
 
     modes: HeatModes

@@ -96,7 +96,7 @@ def parametric_subcircuit(
     Parameters
     ----------
     model : ResonatorsOverRanges or HeatOverRanges
-        Reduced model with parameter ranges, such as :func:`kc2spice.reduce` returns for a
+        Reduced model with parameter ranges, for example the result of :func:`kc2spice.reduce` for a
         :class:`kc2spice.AffineModel`.
     name : str
         Name of the subcircuit and of its library file.
@@ -392,7 +392,8 @@ class _PortAndModeWriter:
     def _connect_port(self, k: int, t: PortTerminal) -> PortTerminal:
         """Return the terminal of a port, with the sources that form the port's output.
 
-        ``t`` is the terminal of port k before the sources of its output are added.
+        The function returns a copy of ``t``, the terminal record of port k, to which the sources
+        are added.
         """
         if not t.port.electrical:
             sums = list[Transconductance]()

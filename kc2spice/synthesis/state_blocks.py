@@ -143,9 +143,10 @@ def _write_output_cards(t: PortTerminal, index: int, base: str) -> Iterator[Line
 def _balance_block(
     block: np.ndarray, drive: np.ndarray, omega: float
 ) -> tuple[np.ndarray, bool, np.ndarray]:
-    """Scale the states of a block, and determine whether the block integrates.
+    """Scale the states of a block, and find out whether one of its poles is zero.
 
-    Return the scaled block, whether it integrates, and the scale factors of its states.
+    Return three values: the scaled block, whether one of its poles is zero, and the scale factors
+    of its states.
 
     The block of a complex pair of poles becomes ``[[a, w], [-w, a]]``. The scaled states are about
     1 for a constant input of 1. ``drive`` contains the rows of B for the states of the block, and

@@ -2,8 +2,9 @@
 
 ``bench`` runs the scene unchanged, with one numerical setting changed at a time
 (:mod:`kc2spice.scene.numerical_settings`), and with all settings finer. A search changes one
-setting of the fastest combination at a time. The search finds the fastest settings within the error
-limit, and the fastest settings within the error of the unchanged scene.
+setting of the fastest combination at a time. The search finds the fastest settings whose error is
+within the error limit. The search also finds the fastest settings that are at least as accurate as
+the unchanged scene.
 
 Errors are relative to a reference run, in which every setting has its finest value. A second,
 coarser run shows how well the reference run has converged. If the scene sets a key to its finest
@@ -12,12 +13,12 @@ of the reference run is estimated from a run with a coarser value of the key. Th
 of the reference run are added to the errors of all combinations of settings. For the unchanged
 scene, ``bench`` also computes the same error estimate as a run with an ``error_budget``.
 
-Times are medians of the simulator's CPU time. Each round runs all settings, so that a slower
-machine affects all settings equally.
+Times are medians of the simulator's CPU time. Each round of the time measurement runs all settings,
+so that a temporary slowdown of the machine affects all settings equally.
 
-The errors caused by two settings may cancel by chance. A combination of settings is within the
-limit only if its error, and the sum of the errors of its single values, are within the limit. The
-sum of the errors is::
+The errors caused by two settings may cancel by chance. The error limit therefore applies to two
+errors of each combination of settings: its measured error, and the sum of the errors that each
+setting causes alone. The sum of the errors is::
 
     bound = sum_k max_{v at least as fine as v_k} |m(own, k = v) - m(own, k = finest)| / |m(own)|
 
@@ -86,7 +87,7 @@ class _TimedRun:
 
     @property
     def largest_error(self) -> float:
-        """Largest error over all metrics of the combination of numerical settings."""
+        """Largest error among all metrics of this run."""
         return max(self.errors.values())
 
     @property
@@ -211,7 +212,7 @@ class _SettingSearch:
         return max(sum(map(itemgetter(name), errors)) for name in self.names)
 
     def compute_larger_error(self, point: _TimedRun) -> float:
-        """Return the larger of measured error and error bound for combined settings."""
+        """Return the larger of two values: a run's measured error and its error bound."""
         return max(point.largest_error, self.compute_error_bound(point))
 
     def find_fastest(self, limit: float) -> _TimedRun | None:
@@ -317,8 +318,9 @@ def bench(
 
     The files ``bench.json`` and ``bench.html`` are written into ``out``. The result is the content
     of ``bench.json``. The error of a combination of settings is the largest relative error of the
-    metrics named in ``metric``. By default, ``metric`` is the value of the key ``bench.metric``, or
-    all converging metrics that are single numbers.
+    metrics named in ``metric``. By default, ``metric`` is the value of the key ``bench.metric``. If
+    ``bench.metric`` is not set, the metrics are all single numbers that change by at most
+    :data:`MAX_METRIC_CHANGE` between the two finest runs.
 
     Raises
     ------
@@ -376,7 +378,7 @@ def _select_metrics(run: Run, names: Sequence[str]) -> tuple[str, ...]:
 
     Raises
     ------
-    UsageError : the scene does not have one of the metrics ``names``.
+    UsageError : at least one of the ``names`` is not a metric of the scene.
     """
     result: list[str] = []
     for name in names:
@@ -461,7 +463,7 @@ def _describe_settings(settings: Mapping[str, Any]) -> str:
 
 
 def _format_setting(value: Any) -> str:
-    """Return the value of a setting, a number, range or string, as text."""
+    """Return the value of a setting as text; the value is a number, range or string."""
     if isinstance(value, list):
         return "…".join(map("{:g}".format, value))
     return value if isinstance(value, str) else f"{value:g}"

@@ -38,8 +38,9 @@ from kc2spice.workflow.parts_from_edited_deck import with_edited_parameters
 from kc2spice.workflow.time_step import find_step_reason
 
 # Inductance [H] of an inductor that fixes a floating displacement at the operating point.
-# The current of the inductor acts as a force, which is negligible above 1 Hz.
-# Above 1 Hz, the inductor's force is smaller than the inertia force of a mass of 1e-6 fg.
+# The current of the inductor acts as a force on the part that moves with the displacement.
+# Above 1 Hz, the force of an inductor of 1e30 H is negligible, because it is smaller than the
+# inertia force of a mass of 1e-6 fg.
 HOLD_INDUCTANCE = 1e30
 
 
@@ -243,7 +244,7 @@ def _describe_largest_step(build: BuiltScene) -> Iterator[str]:
 def _list_initial_voltages(build: BuiltScene, loose: Sequence[FloatingNets]) -> dict[str, float]:
     """Return the initial node voltages [V] of a transient, keyed by node.
 
-    A net that only dampers connect to other nets begins at 0.
+    If only dampers connect a net to other nets, the initial value of the net is 0.
     """
     if build.scene.analysis.type != "transient":
         return {}

@@ -49,7 +49,7 @@ def export_scene(
     Raises
     ------
     UsageError : the dialect or the solver is unknown, the dialect cannot represent the scene, or
-        another deck uses an existing library
+        the export would replace a library that another deck includes
         (:func:`kc2spice.workflow.decks.protect_other_decks`).
     GateMissedError : the circuit of a body misses the tolerance of its reduction.
     """

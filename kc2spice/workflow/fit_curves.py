@@ -22,7 +22,7 @@ from kc2spice.core.toml_errors import parse_toml_file
 from kc2spice.core.untrusted_files import read_bounded
 
 MAX_BYTES = 1_000_000  # largest size [bytes] of a file with a list of curves
-MIN_POINTS = 4  # smallest number of frequencies of a curve within its band
+MIN_POINTS = 4  # number of frequencies that a curve must at least have within its band
 EXAMPLE = '[[curve]]  file = "weighted.zma"  set = { "speaker.added_mass" = "8 g" }'
 
 
@@ -68,7 +68,7 @@ class MeasurementListKeys(Section):
 
 @dataclass(frozen=True, eq=False)
 class MeasuredCurve:
-    """Measured admittance, with the values of scene keys for the measurement.
+    """Measured admittance, and overrides of scene keys that describe its measurement.
 
     With ``predict``, the curve is compared with the fit, but not fitted.
     """

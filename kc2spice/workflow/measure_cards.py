@@ -3,8 +3,8 @@
 A ``.meas`` card computes a quantity from one simulator vector. The deck contains cards only for
 quantities that ngspice and kc2spice define in the same way. The cards compute extremes with their
 positions, differences of extremes, means, values at a position, level crossings, and last values.
-In ``ac``, the extremes of the cards are values at computed points, but the metric interpolates
-between the points. An ``op`` has no cards: its deck prints the vectors.
+In ``ac``, a card returns the largest or smallest value at a computed point, but the metric
+interpolates between computed points. An ``op`` has no cards: its deck prints the vectors.
 
 ngspice has no card for values that are fitted to an impedance (antiresonance, Q factor,
 capacitance), frequencies of counted cycles, and windows that end between time points.

@@ -27,8 +27,8 @@ WARNING_MISFIT = 3.0  # smallest misfit at which a fit prints a warning
 # Two causes of a misfit count as equally likely if the sums of squared residuals that remain with
 # each cause differ by at most this factor.
 EQUAL_LIKELIHOOD_RATIO = 1.1
-# A cause is likely if the fit of its amount reduces the sum of squared residuals by more than this
-# fraction.
+# A cause of a misfit is likely if adding the cause to the model, with a fitted size, reduces the
+# sum of squared residuals by more than this fraction.
 EXPLAINED_SHARE = 0.5
 
 
@@ -40,7 +40,7 @@ def compute_rms_misfit(residuals: np.ndarray, keys: int) -> float:
     residuals : (n,) array
         Differences between model and data, divided by the standard deviation of the noise.
     keys : int
-        Number of fitted values.
+        Number of keys that the fit varied.
 
     Examples
     --------
@@ -58,8 +58,8 @@ def compute_error_scale(residuals: np.ndarray, keys: int) -> float:
 
     Examples
     --------
-    Four residuals of size 0.5 and two keys give an rms residual of 0.71. A value of 0.71 is below
-    the lower limit 1 of the factor, so the factor is 1.
+    Four residuals of size 0.5 and two fitted keys give an rms residual of ``sqrt(4 * 0.5^2 / (4 -
+    2)) = 0.71``. A value of 0.71 is below the lower limit 1 of the factor, so the factor is 1.
 
     >>> compute_error_scale(np.array([0.5, -0.5, 0.5, -0.5]), keys=2)
     1.0

@@ -36,7 +36,7 @@ class OperatingPoint:
     def list_checks(self, build: BuiltScene, waves: Waveforms) -> tuple[Check, ...]:
         """Return checks of the operating point, and of the amplitudes of an ac analysis.
 
-        Checks that the scene turns off are left out.
+        The result omits each check that the scene disables.
         """
         checks = list(self.checks)
         for name, part in build.scene.parts.items() if build.scene.analysis.type == "ac" else ():
@@ -56,12 +56,13 @@ def find_operating_point(build: BuiltScene, deck: Deck, laws: SceneLaws) -> Oper
     scene = build.scene
     if not scene.analysis.is_small_signal or deck.text is not None or laws.is_linear:
         return OperatingPoint()
-    # The probes are kept, because they determine the pins of a body. This run has no noise result.
+    # The probes are kept, because they determine the pins of a body. Probes of a noise analysis are
+    # removed, because the run of the operating point has no noise results.
     probes = {} if build.has_noise else scene.probes
     frame = scene.frame.model_copy(update={"analysis": Analysis(type="op"), "probes": probes})
     # At the operating point, models are accurate up to the same frequency as in the small-signal
     # analysis: the end of its frequency range.
-    # Pins and frequency-dependent models, such as models of eddy currents, are therefore equal at
+    # Each part therefore has the same pins and the same model, such as a model of eddy currents, at
     # the operating point and in the small-signal analysis.
     resolved = replace(scene, frame=frame, resolved_frequency=scene.analysis.stop)
     try:

@@ -220,7 +220,7 @@ def tabulate_body_modes(build: BuiltScene) -> dict[str, dict[str, Any]]:
 def collect_rom_values(build: BuiltScene) -> dict[str, Any]:
     """Return the records of reduced models: ``rom`` and ``roms`` of ``result.json``.
 
-    ``roms`` is present only for several reduced models.
+    The result contains ``roms`` only if the scene has more than one reduced model.
     """
     models = build.find_models(LinearModel)
     if not models:

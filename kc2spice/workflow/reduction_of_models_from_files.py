@@ -82,9 +82,11 @@ from kc2spice.workflow.thermal_transients import (
 )
 
 DEFAULT_TOLERANCE = 1e-4
-MAX_MISFIT = 0.1  # error of a fit to a measured part above which no model is written
-WARNING_MISFIT = 0.01  # error of a fit to a measured part above which a warning is printed
-# Largest accepted error of a fit to a measured part, as a multiple of the rms noise.
+# Largest error of a fit to a measured part, unless the data are noisy. With larger errors, no model
+# is written.
+MAX_MISFIT = 0.1
+WARNING_MISFIT = 0.01  # smallest error of a fit to a measured part for which a warning is printed
+# Largest error of a fit to a measured part with noisy data, as a multiple of the rms noise.
 MAX_NOISE_RATIO = 3.0
 
 
@@ -159,7 +161,7 @@ def reduce_file(
 
     Raises
     ------
-    GateMissedError : the error of a measured part exceeds :data:`MAX_MISFIT` and
+    GateMissedError : the error of a measured part exceeds both :data:`MAX_MISFIT` and
         :data:`MAX_NOISE_RATIO` times the noise of the data; nothing was written.
     UsageError : the model cannot be read (:func:`kc2spice.bodies.readers.read_model`), or ``out``
         cannot be written, which is checked before the reduction. Nothing is written.

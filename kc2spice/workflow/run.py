@@ -108,9 +108,9 @@ def run_scene(
     Parameters
     ----------
     scene : Scene
-        Scene, such as :func:`kc2spice.load_scene` returns.
+        Scene, for example the result of :func:`kc2spice.load_scene`.
     out : Path
-        Directory for the files. Either all files are written, or none.
+        Directory for the output files. Either all output files are written, or none.
     progress : callable, optional
         Called as ``progress(stage, done, text)`` during the run.
     trust : bool, default False

@@ -52,11 +52,15 @@ class FittedTransient:
 
 
 def parse_step_power(power: str | float | None, data: ThermalTransient) -> float | None:
-    """Return the power [W] of the option ``--power``; None for a thermal impedance.
+    """Return the power [W] of the option ``--power``, or None.
+
+    The result is None if the measured quantity is a thermal impedance instead of a temperature.
 
     Raises
     ------
-    UsageError : a temperature without a positive power, or a thermal impedance with a power.
+    UsageError : the measured quantity is a temperature, and ``power`` is missing or not positive.
+        The error is also raised if the measured quantity is a thermal impedance, and ``power`` is
+        set.
     """
     if data.quantity == "zth":
         if power is not None:

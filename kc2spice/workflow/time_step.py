@@ -59,7 +59,8 @@ WINDOW_COUNT = 16
 MAX_COMPARED_POINTS = 30_000
 # Smallest peak of a waveform that is compared with the exact solution, relative to the largest peak
 # of all waveforms with the same unit.
-# The iterations of ngspice do not refine waveforms with relative peaks below MIN_RELATIVE_SIZE.
+# The iterations of ngspice do not refine waveforms whose peak is below MIN_RELATIVE_SIZE times the
+# largest peak of all waveforms with the same unit.
 MIN_RELATIVE_SIZE = 1e-5
 # smallest peak of a waveform that is compared with the exact solution, keyed by unit
 MIN_SIZE = {"A": 1e-11, "V": 1e-6, "N": 1e-11, "m": 1e-12, "m/s": 1e-9}
@@ -73,8 +74,8 @@ def choose_largest_step(build: BuiltScene) -> StepLimit:
     """Return the largest time step of a transient, with the reason for it.
 
     The result is ``solver.max_step`` if the scene sets this key. If the scene does not set
-    ``solver.max_step``, the result is the smallest step that a part or a resonance of a linear
-    circuit requires.
+    ``solver.max_step``, the result is the smallest of the step limits of all parts and of all
+    resonances of linear circuits.
     """
     scene = build.scene
     if scene.solver.max_step is not None:
@@ -99,7 +100,7 @@ def choose_largest_step(build: BuiltScene) -> StepLimit:
 
 
 def find_step_reason(build: BuiltScene) -> str:
-    """Return the reason for the largest time step; empty if the scene sets the step."""
+    """Return the reason for the time step limit; empty if the scene sets the limit."""
     if build.scene.solver.max_step or build.largest_step is None:
         return ""
     return build.largest_step.why
@@ -108,10 +109,12 @@ def find_step_reason(build: BuiltScene) -> str:
 def _is_thermal_and_aperiodic(network: Network, motion: ExponentialSolution) -> bool:
     """Return whether a network conducts heat and has no oscillating mode.
 
-    ``motion`` is the exact solution of the network, linearised at its state of rest.
+    ``motion`` is the exact solution of the linear equations that approximate the network near its
+    state of rest.
 
-    Heat has no inertia, and error control resolves its time constants. The losses of electrical
-    parts, and the resistances of warm conductors, change as slowly as the temperatures.
+    Heat has no inertia. A thermal network without oscillating modes therefore needs no limit of the
+    time step: error control resolves its time constants. The losses of electrical parts, and the
+    resistances of warm conductors, change as slowly as the temperatures.
     """
     kinds = set(list_pin_kinds(network.laws).values())
     heat = any(DOMAINS[kind].is_relaxing for kind in kinds)
@@ -379,8 +382,9 @@ def _compare_exact_motion(
 def _make_step_check(name: str, largest: tuple[float, float, str], build: BuiltScene) -> Check:
     """Return the check of a waveform's deviation due to the time steps.
 
-    For the waveform with the largest deviation, ``largest`` contains the deviation of its rms
-    value, its largest deviation at a time point, and its name.
+    ``largest`` describes the waveform whose rms value deviates most from the exact solution. The
+    entries are the deviation of the rms value, the largest deviation at a time point, and the name
+    of the waveform.
     """
     amplitude, _, wave = largest
     advice = "the steps are too coarse for a resonance: "

@@ -21,8 +21,8 @@ BALANCE_SHARE = 0.03
 def form_verdict(waves: Waveforms, build: BuiltScene) -> Verdict:
     """Return the verdict on a run: its checks, energy balances and error limits.
 
-    Checks that the scene turns off are left out. A large ``error_budget`` raises the limits of all
-    energy balances in proportion.
+    The verdict omits each check that the scene disables. A large ``error_budget`` raises the limits
+    of all energy balances in proportion.
     """
     scene = build.scene
     checks: list[Check] = []
@@ -67,8 +67,9 @@ def add_undecided_warnings(checks: Sequence[Check]) -> Iterator[Check]:
     """Yield all checks; add warnings or advice if model errors may change an outcome.
 
     A relative error e of the launch velocity v changes the height of a flight, v^2 / 2 g, by the
-    relative amount 2 e. The outcome of a check is undecided if errors of reduced bodies can change
-    the motion by more than its distance from the limit of the check.
+    relative amount 2 e. The outcome of a check is undecided if the distance between the motion and
+    the limit of the check is smaller than the possible change of the motion due to errors of
+    reduced bodies.
     """
     error = max((check.value for check in checks if check.loaded), default=0.0)
     for check in checks:

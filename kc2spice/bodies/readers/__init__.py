@@ -62,9 +62,9 @@ def read_model(path: Path | str, sidecar: Path | str | None = None) -> LinearMod
     Returns
     -------
     LinearModel
-        Model in SI units. The TOML file defines the ports. Without a TOML file, all ports are
-        signals. All parameters in the TOML file are set to their default values;
-        :func:`read_affine_model` returns a model with parameters.
+        Model in SI units. The TOML file defines the ports. Without a TOML file, each column of B is
+        an input signal, and each row of C is an output signal. All parameters in the TOML file are
+        set to their default values; :func:`read_affine_model` returns a model with parameters.
 
     Raises
     ------
@@ -223,8 +223,7 @@ def _read_term(
     """Read the matrix of a parameter-dependent term from its file.
 
     Return None if the term has neither file nor matrix name. If a term states neither a file nor a
-    matrix name, its factor multiplies the model's matrix with the letter ``entry.matrix``, such as
-    K.
+    matrix name, its factor multiplies the model's matrix ``entry.matrix``, such as K.
 
     Raises
     ------

@@ -29,7 +29,8 @@ PREFIXES = {"f": 1e-15, "p": 1e-12, "n": 1e-9, "u": 1e-6, "µ": 1e-6, "μ": 1e-6
 # smaller than 1.
 CASE_FREE_PREFIXES = "kMGT"
 # Spellings of units and the SI value of each unit, keyed by measured quantity.
-# The letter case of a unit matters only for spellings with a capital letter in this table.
+# A unit that UNITS spells with a capital letter is recognised only with this capital letter. All
+# other units in UNITS are recognised in upper and lower case.
 UNITS: dict[str, dict[str, float]] = {
     "frequency": {"hz": 1.0, "hertz": 1.0, "rad/s": 0.5 / np.pi, "rads": 0.5 / np.pi},
     # some programs write the letter O instead of omega because of a wrong code page

@@ -77,7 +77,7 @@ def make_term(settings: Sidecar, number: int, matrix: Matrix) -> AffineTerm:
 def _evaluate_factor(tree: Tree, values: Mapping[str, float], where: str) -> float:
     """Evaluate the expression of a factor at the given parameter values.
 
-    An error message begins with ``where``, the file and the key of the factor.
+    An error message begins with ``where``, which names the file and the key of the factor.
     """
     try:
         return evaluate_parameter(tree, {name.lower(): value for name, value in values.items()})

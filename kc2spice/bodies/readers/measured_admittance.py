@@ -5,9 +5,9 @@ table must contain a frequency column and two columns that determine an impedanc
 phase. Semicolons, tabs, commas or blanks separate the columns of a table. A comma that does not
 separate columns is a decimal comma.
 
-The names of variables in a MATLAB file are the same as the titles of columns. A complex variable
-has the name ``z``, ``y`` or ``s``, and the shape (n,) or (ports, ports, n) for n frequencies. The
-variable ``z0`` is the reference resistance of ``s``.
+Real vectors in a MATLAB file are read like the columns of a table; the name of a variable is the
+title of the column. A complex variable has the name ``z``, ``y`` or ``s``, and the shape (n,) or
+(ports, ports, n) for n frequencies. The variable ``z0`` is the reference resistance of ``s``.
 """
 
 from __future__ import annotations
@@ -77,8 +77,9 @@ class MeasuredAdmittance(EqualByContent):
     array of the same shape as ``Y``. ``samples`` is None if the measured values are the admittances
     ``Y`` themselves. ``reference`` (ports,) [Ohm] contains the reference resistances of S
     parameters. ``notes`` are assumptions of the reader, and ``columns`` describes the columns that
-    the reader used. ``doubt`` describes an unusual property of the data, and the correction of the
-    file if its format or unit is wrong.
+    the reader used. ``doubt`` describes a property of the data that suggests a wrong unit or
+    format, and how to correct the file. If the data fit the stated unit and format, ``doubt`` is
+    empty.
     """
 
     name: str
@@ -147,9 +148,10 @@ class MeasuredAdmittance(EqualByContent):
     def compute_relative_noise(self, norm: Norm) -> float:
         """Return the rms noise of Y, relative to its pointwise or peak magnitude.
 
-        In the norm *pointwise*, the noise is relative to the magnitude of an entry of Y at each
-        frequency. In the norm *peak*, the noise is relative to the largest magnitude of the entry
-        at all frequencies. The returned number is the noise of the entry with the largest noise.
+        In the norm *pointwise*, the noise of an entry of Y at each frequency is divided by the
+        magnitude of the entry at this frequency. In the norm *peak*, the noise of an entry of Y is
+        divided by the largest magnitude that the entry reaches at any frequency. The returned
+        number is the noise of the entry with the largest noise.
         """
         size = np.abs(self.Y)
         size = np.broadcast_to(size.max(axis=0), size.shape) if norm == "peak" else size

@@ -10,7 +10,7 @@
     files = { K = "a.mtx", M = "b.mtx" }      # files with names other than NAME.K, NAME_K.mtx
     matrices = { K = "KAAX", M = "MAAX" }     # names of the matrices in an OP4 or punch file
     damping_matrix = "C"          # a square C beside M and K is the damping matrix; or
-                                  # outputs = "C": each row of C is the output of one unknown
+                                  # outputs = "C": C is the output matrix, one row per output
     mesh = "job.inp"              # file of node coordinates and node sets: .inp, .bdf, .cdb, or
                                   # .csv with node,x,y,z
     dofs = "rows.csv"             # node,dof of each matrix row, if the matrix files lack them
@@ -331,7 +331,7 @@ class PortEntry(NodeSelection):
 
     @property
     def _directional_dofs(self) -> tuple[int, ...]:
-        """Degrees of freedom for components of the port's axis: translations or rotations."""
+        """Rotations about x, y and z for a rotational port, otherwise translations."""
         return ROTATIONS if self.kind == ROTATION.port else TRANSLATIONS
 
     @property

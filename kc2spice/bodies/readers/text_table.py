@@ -1,9 +1,9 @@
 """Parser of tables in text files: rows of numbers with titles above the rows.
 
 The input is the text of a file, and the output is a list of :class:`TextTable`. The longest table
-is the first in the list. Semicolons, tabs, commas or blanks separate the fields of a line. Commas
-that do not separate fields are decimal commas; in files with decimal points, such commas separate
-thousands. Blocks of the same table are merged. The module
+is the first in the list. Semicolons, tabs, commas or blanks separate the fields of a line. A comma
+within a number is a decimal comma, or a thousands separator if the table also contains decimal
+points. Blocks of the same table are merged. The module
 :mod:`kc2spice.bodies.readers.complex_response` interprets the tables.
 """
 
@@ -266,9 +266,11 @@ def _join_rows_around_words(
 
 
 def _join_rows_around_incomplete_rows(filled: list[int], kinds: list[tuple[int, bool]]) -> None:
-    """Count a few rows with other numbers of fields as incomplete rows of their table.
+    """Mark rows of unusual length as incomplete if a table contains only few of them.
 
-    The function changes the entries of ``kinds`` for these rows.
+    The length of a row is its number of fields. A row has an unusual length if its length differs
+    from the most common length in its table. The function changes the entries of ``kinds`` for the
+    incomplete rows.
     """
     for is_row, group in groupby(filled, key=lambda k: kinds[k][0] > 0):
         if not is_row:
@@ -333,7 +335,7 @@ def _build_table(lines: list[str], run: _LineRange, end: int, separator: str | N
 def _describe_omitted_rows(
     rows: list[list[str]], complete: list[bool], names: Sequence[str], lines: list[int]
 ) -> list[str]:
-    """Return notes about omitted rows, which contain words or are incomplete.
+    """Describe rows that are omitted because they contain words or are incomplete.
 
     ``lines`` are the line numbers of the rows, counted from 0.
 
@@ -365,7 +367,8 @@ def _reject_ambiguous_commas(above: list[str], rows: list[list[str]], width: int
 
     Raises
     ------
-    AmbiguousCommaError : the table has titles of fewer columns, and contains no decimal point.
+    AmbiguousCommaError : the table has fewer column titles than fields in a row, and contains no
+        decimal point.
     """
     if any("." in field for field in chain.from_iterable(rows)):
         return
@@ -386,10 +389,11 @@ def _find_titles(
 ) -> tuple[str, ...] | None:
     """Find the titles of a table in the lines above the table.
 
-    ``columns`` is the number of columns. The titles are in the nearest line above the table that
-    contains the title of a frequency or a time. If no line contains such a title, the titles are in
-    the last line above the table. A line of units may follow the titles. If ``index`` is true, the
-    first column contains row numbers and may have no title. Return None if there are no titles.
+    ``columns`` is the number of columns. Of all lines above the table, the nearest line with the
+    title of a frequency or time column contains the titles of all columns. If no line above the
+    table contains the title of a frequency or time column, the last line above the table contains
+    the titles. A line of units may follow the titles. If ``index`` is true, the first column
+    contains row numbers and may have no title. Return None if there are no titles.
     """
     below: list[str] | None = None
     for line in reversed(above[-TITLE_LINES:]):
@@ -568,8 +572,9 @@ def _find_frequency_column(table: TextTable) -> int | None:
 def _parse_column(words: Sequence[str], rows: list[list[str]], title: str) -> np.ndarray:
     """Parse the numbers in one column of a table.
 
-    ``words`` are the fields of the column, and ``rows`` the fields of the whole table. Commas are
-    decimal commas; if the table contains decimal points, commas separate thousands.
+    ``words`` are the fields of the column, and ``rows`` the fields of the whole table. A comma
+    within a number is a decimal comma, or a thousands separator if the table also contains decimal
+    points.
 
     Raises
     ------

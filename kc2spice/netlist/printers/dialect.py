@@ -73,7 +73,7 @@ _ELEMENT_PARAMETERS = {
     "j": {"area", "m", "temp"},
     "m": {"l", "w", "ad", "as", "pd", "ps", "nrd", "nrs", "m", "temp"},
 }
-# omitted parameters, which only affect noise analyses; dialects reject noise analyses
+# element parameters that are omitted: they affect only noise analyses, which dialects reject
 _NOISE_PARAMETERS = frozenset({"noisy"})
 _EXPONENT = r"e[-+]?\d+"
 _NUMBER = re.compile(

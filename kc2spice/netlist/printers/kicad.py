@@ -435,8 +435,9 @@ def _choose_columns(item: _PlacedSymbol, shared: Container[str]) -> dict[tuple[i
     """Choose the grid column of the vertical wire at each pin end of a symbol.
 
     The keys of the returned dictionary are the positions (x, y) of the pin ends. On each side of a
-    symbol, the wire of the lowest pin is in the column next to the symbol. From bottom to top, each
-    pin has a column that is farther out than the columns and labels of all pins below it.
+    symbol, the wire of the lowest pin is in the column next to the symbol. From bottom to top, the
+    vertical wire of each pin is farther from the symbol than the wires and labels of all pins
+    below.
     """
     result = {}
     for side, outwards in (("left", -1), ("right", 1), ("top", 0), ("bottom", 0)):

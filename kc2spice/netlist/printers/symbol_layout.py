@@ -34,7 +34,7 @@ class SymbolPin:
 class SymbolBox:
     """Rectangular outline of a schematic symbol, with its pins.
 
-    ``width`` and ``height`` are half of the size.
+    ``width`` and ``height`` are half the width and half the height of the outline.
     """
 
     width: int

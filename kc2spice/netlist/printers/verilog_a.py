@@ -492,7 +492,7 @@ def make_testbench(deck: Deck, modules: Collection[Subcircuit]) -> dict[str, str
 
 
 def _adapt_to_modules(item: Item, stems: Mapping[str, str], replaced: Collection[str]) -> Item:
-    """Adapt a deck item to Verilog-A modules in place of subcircuits.
+    """Change a deck item so that it refers to Verilog-A modules, not to subcircuits.
 
     The card of a module's instance is an N card with a ``.model`` card that contains the
     parameters. A card without an equivalent is replaced by an empty card.

@@ -91,9 +91,10 @@ class AcousticNetwork:
     """Network of the acoustic elements of a part.
 
     ``params`` are the parameters of the subcircuit. ``constants`` are expressions of the parameters
-    and of earlier constants. ``entry`` is the node behind the ammeter of the first pin. ``exits``
-    contains the nodes behind the ammeters of other pins, keyed by pin. ``validity`` is the line of
-    the library header that states the frequency range and the error of the network.
+    and of earlier constants. ``entry`` is the inner node that an ammeter connects to the first pin.
+    ``exits`` maps each further pin with an ammeter to the inner node that this ammeter connects to
+    the pin. ``validity`` is the line of the library header that states the frequency range and the
+    error of the network.
     """
 
     params: tuple[Param, ...]
@@ -157,7 +158,7 @@ class AcousticPart(PartType[FluidKeysT]):
     def equilibrium_conditions(
         self, part: Part[FluidKeysT], scene: WiredScene
     ) -> EquilibriumConditions:
-        """Return the paths of steady volume velocity, which an equilibrium requires."""
+        """Return the pin pairs between which the part carries a steady volume velocity."""
         return EquilibriumConditions(self.steady_flow_paths(part))
 
     def subcircuits(

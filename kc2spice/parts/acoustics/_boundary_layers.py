@@ -2,13 +2,14 @@
 
 A relaxation ``w / (p + q)`` with the weight w and the corner p is a function of the normalised
 frequency ``q = j omega a^2 / nu``. In a circuit, each relaxation is a branch with two positive
-elements. The length a is the radius of a circular duct, or the ratio of volume to surface area of a
-cavity. The symbol nu denotes the kinematic viscosity in ``flow``, and the thermal diffusivity in
-``heat`` and ``layer``. The function ``flow(q) = F(q) / q`` represents the viscous losses of a duct.
-The function ``heat(q) = 1 - F(q)`` represents the thermal losses of a duct. The function ``layer(q)
-= tanh(z) / z`` represents the thermal losses of a cavity. The functions use ``z = sqrt(q)`` and
-``F(q) = 1 - 2 I1(z) / (z I0(z))``, with the modified Bessel functions I0 and I1. Each of the
-functions ``flow``, ``heat`` and ``layer`` is a sum of relaxations with positive weights.
+elements. The length ``a`` is the radius of a circular duct, or the ratio of volume to surface area
+of a cavity. The symbol nu denotes the kinematic viscosity in ``flow``, and the thermal diffusivity
+in ``heat`` and ``layer``. The function ``flow(q) = F(q) / q`` represents the viscous losses of a
+duct. The function ``heat(q) = 1 - F(q)`` represents the thermal losses of a duct. The function
+``layer(q) = tanh(z) / z`` with ``z = sqrt(q)`` represents the thermal losses of a cavity. The
+functions ``flow`` and ``heat`` use ``F(q) = 1 - 2 I1(z) / (z I0(z))`` with ``z = sqrt(q)`` and the
+modified Bessel functions I0 and I1. Each of the functions ``flow``, ``heat`` and ``layer`` is a sum
+of relaxations with positive weights.
 
 Sources: C. Zwikker and C. W. Kosten, Sound Absorbing Materials, 1949, chapter 2; I. B. Crandall,
 Theory of Vibrating Systems and Sound, 1926, appendix A. The corners p are chosen first;
@@ -91,11 +92,12 @@ def fit_boundary_layer(
     Parameters
     ----------
     layer : {"flow", "heat", "layer"}
-        Function of the boundary layer.
+        Function to be fitted: viscous losses of a duct, thermal losses of a duct, or thermal losses
+        of a cavity.
     low, high : float
-        Ends of the band of the normalised frequency omega a^2 / nu.
+        Lowest and highest normalised frequency omega a^2 / nu of the band.
     per_decade : int
-        Number of corners of relaxations in each decade.
+        Number of relaxation corners in each decade of the normalised frequency.
 
     Returns
     -------

@@ -72,7 +72,7 @@ class DuctLaw(Device):
 
     @cached_property
     def states(self) -> tuple[str, ...]:
-        """Names of the states: volume velocities, then pressures of nodes and relaxations."""
+        """Names of the states: volume velocities, node pressures, relaxation pressures."""
         flows = map("q{}".format, range(len(self.channels)))
         walls = map("v{}".format, range(len(self.walls)))
         return (*flows, *map("p_{}".format, self.inner_node_names), *walls)

@@ -29,7 +29,7 @@ LARGEST_GAS_DENSITY = 100.0  # kg/m3; a denser fluid counts as a liquid
 LARGEST_HEAT_RATIO = 5 / 3  # heat capacity ratio of a monatomic gas
 # Limits of the density [kg/m3]: the density of a thin gas, and a value above the densest liquid.
 SMALLEST_DENSITY, LARGEST_DENSITY = 1e-6, 3e4
-SMALLEST_SPEED, LARGEST_SPEED = 1.0, 1e4  # m/s, below and above the speed of sound of every fluid
+SMALLEST_SPEED, LARGEST_SPEED = 1.0, 1e4  # limits [m/s] of the speed of sound in any fluid
 # Lower limits of viscosity and conductivity: a thousandth of the smallest values of gases.
 SMALLEST_VISCOSITY, LARGEST_VISCOSITY = 1e-9, 1e6  # viscosities [Pa s]
 SMALLEST_CONDUCTIVITY, LARGEST_CONDUCTIVITY = 1e-6, 1e4  # conductivities [W/(m K)]

@@ -1,14 +1,17 @@
 """Radiation impedances as networks, for pistons and for a pulsating sphere.
 
 The radiation impedance is the pressure on a surface divided by the volume velocity of the surface.
-The surface has the radius a and the area S; k is the wave number:
+The surface has the radius a and the area S; k is the wave number, rho the density, and c the speed
+of sound. The radiation impedances of three shapes are:
 
-    piston in a baffle   rho c / S (1 - J1(2 k a) / (k a) + j H1(2 k a) / (k a))
-    open end of a tube   rho c / S (1 + R) / (1 - R), R of Levine and Schwinger
-    pulsating sphere     rho c / S  j k a / (1 + j k a): a resistance parallel to a mass
+    piston in a baffle   (rho c / S) * (1 - J1(2 k a) / (k a) + j H1(2 k a) / (k a))
+    open end of a tube   (rho c / S) * (1 + R) / (1 - R)
+    pulsating sphere     (rho c / S) * j k a / (1 + j k a)
 
-J1 is the Bessel and H1 the Struve function (L. E. Kinsler et al., Fundamentals of Acoustics, 4th
-ed., sections 7.4 and 7.5; H. Levine and J. Schwinger, Phys. Rev. 73 (1948) 383).
+The impedance of the pulsating sphere is a resistance parallel to a mass. R is the reflection
+coefficient of Levine and Schwinger. J1 is the Bessel and H1 the Struve function (L. E. Kinsler et
+al., Fundamentals of Acoustics, 4th ed., sections 7.4 and 7.5; H. Levine and J. Schwinger, Phys.
+Rev. 73 (1948) 383).
 """
 
 from __future__ import annotations
@@ -42,7 +45,7 @@ class Radiator:
 
     @property
     def error_text(self) -> str:
-        """Text with the errors of the radiation network, and their range of ``k a``."""
+        """Text with the network's errors, and the largest ``k a`` at which they apply."""
         if math.isinf(self.network.largest_ka):
             return "exact at all frequencies"
         return (

@@ -2,8 +2,8 @@
 
 The pressure at the pin ``sound`` is proportional to the time derivative of a volume velocity. With
 the trapezoidal rule, a plain derivative oscillates forever after each kink of the volume velocity:
-``v_n+1 = 2 L (i_n+1 - i_n) / h - v_n``. A resistor ``R = w L / sqrt(2)`` and a capacitor ``C = 1 /
-(w^2 L)`` parallel to the inductance L prevent the oscillation. The impedance of R, C and L in
+``v[n+1] = 2 L (i[n+1] - i[n]) / h - v[n]``. A resistor ``R = w L / sqrt(2)`` and a capacitor ``C =
+1 / (w^2 L)`` parallel to the inductance L prevent the oscillation. The impedance of R, C and L in
 parallel is ``s L`` times a second-order low pass with the corner frequency w.
 """
 

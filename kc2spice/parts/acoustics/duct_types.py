@@ -167,9 +167,9 @@ class TubeKeys(DuctKeys):
 class DuctModel:
     """Model of a duct: number of sections, losses in boundary layers, phase error.
 
-    ``viscous`` and ``thermal`` are the relaxations of the viscous and the thermal boundary layer.
-    Without losses, ``viscous`` and ``thermal`` are None. ``phase_error`` is the relative error of
-    the phase velocity at the end of the band.
+    ``viscous`` and ``thermal`` are sums of relaxation terms that approximate the losses in the
+    viscous and in the thermal boundary layer. Without losses, ``viscous`` and ``thermal`` are None.
+    ``phase_error`` is the relative error of the phase velocity at the end of the band.
     """
 
     sections: int
@@ -198,7 +198,8 @@ class DuctPart(AcousticPart[DuctKeys]):
     def steady_flow_paths(self, part: Part[DuctKeys]) -> tuple[tuple[str, str], ...]:
         """Return the path of a steady flow, from the end ``a`` to the far end or ambient.
 
-        In a closed duct, the flow passes from ``a`` to ``ambient``.
+        The fluid in a duct with a closed end acts as a spring between the pins ``a`` and
+        ``ambient``.
         """
         return (("a", AMBIENT),) if self.is_closed(part) else (("a", FAR_END),)
 
@@ -275,7 +276,7 @@ class DuctPart(AcousticPart[DuctKeys]):
         return AcousticNetwork((), {}, elements, words, exits=self._map_far_pin_to_node(part))
 
     def _map_far_pin_to_node(self, part: Part[DuctKeys]) -> dict[str, str]:
-        """Return the node behind the ammeter of the far-end pin, keyed by the pin."""
+        """Map the far-end pin to the inner node that an ammeter connects to the pin."""
         return {} if self.is_closed(part) else {FAR_END: "out"}
 
     def _describe_duct(self, duct: DuctModel) -> str:

@@ -48,7 +48,8 @@ from kc2spice.scene.scene_classes import (
 OUT = "out"  # pin whose voltage is the sound pressure
 RADIATION = "radiation"  # part type of the radiating surfaces
 RIGHT_ANGLE = 90.0  # largest angle [degrees] between the axis and a listener in front of a baffle
-# Functions that apply directivity and travel time to sound pressure, keyed by the x variable.
+# Functions that apply directivity and travel time to a sound pressure, keyed by the independent
+# variable of the pressure.
 _PROPAGATIONS = {"frequency": propagate_response, "time": propagate_wave}
 LOG_DECADES = 1.3  # frequency range in decades above which the frequency axis is logarithmic
 
@@ -86,11 +87,12 @@ class Listener(PartType[ListenerKeys]):
 
     A surface has the volume velocity U and the radius a, and r is the distance of the listener. A
     piston in a baffle has the sound pressure ``p = j omega rho U D / (2 pi r) exp(-j k r)`` with
-    the directivity ``D = 2 J1(x) / x``, ``x = k a sin(angle)``. A sphere has ``p = p_surface a / r
-    exp(-j k (r - a))`` (L. E. Kinsler et al., Fundamentals of Acoustics, 4th ed., sections 7.1 and
-    7.4). For an open end of area S with the pressure p_end, the pressure on the axis is used at all
-    angles: ``p = j omega rho (U + p_end S / (rho c)) / (4 pi r) exp(-j k r)`` (H. Levine, J.
-    Schwinger, Phys. Rev. 73 (1948) 383).
+    the directivity ``D = 2 J1(x) / x``, ``x = k a sin(angle)``. A sphere with the pressure
+    p_surface on its surface has the sound pressure ``p = p_surface (a / r) exp(-j k (r - a))`` (L.
+    E. Kinsler et al., Fundamentals of Acoustics, 4th ed., sections 7.1 and 7.4). For an open end of
+    area S with the pressure p_end, the pressure on the axis is used at all angles: ``p = j omega
+    rho (U + p_end S / (rho c)) / (4 pi r) exp(-j k r)`` (H. Levine, J. Schwinger, Phys. Rev. 73
+    (1948) 383).
     """
 
     name, title = "listener", "sound pressure at a point in the far field"
@@ -351,7 +353,7 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
     def figures(
         self, part: Part[ListenerKeys], build: BuiltScene, waves: Waveforms
     ) -> Iterator[Figure]:
-        """Yield the figures of the part for the report."""
+        """Yield the diagrams of the part for the report."""
         if build.scene.analysis.type != "ac" or self._is_level_probed(part, build.scene):
             return
         frequency, levels = waves["frequency"].real, self._compute_levels(part, build, waves)

@@ -24,8 +24,8 @@ IMPEDANCE_FREQUENCIES = 600
 MAX_MESH_LINES = 4000
 # Smallest bend between two faces for which the mesh edge between the faces is drawn.
 # The limit is used only for meshes with more than MAX_MESH_LINES lines.
-# The bend is the second largest eigenvalue of ``sum n n'``, divided by the largest eigenvalue.
-# The vectors n in ``sum n n'`` are the normals of the faces at the edge.
+# The bend at an edge is the ratio of the second largest to the largest eigenvalue of ``sum n n'``,
+# where n are the unit normals of the faces at the edge.
 MIN_BEND = 0.05
 DISPLACEMENT_SHARE = 0.1  # largest drawn displacement, relative to the size of the body
 MAX_PIXELS = 360  # number of pixels along the longer side of a coloured picture

@@ -142,7 +142,7 @@ class BodyPorts(TouchablePart[LinearKeysT]):
     def equilibrium_conditions(
         self, part: Part[LinearKeysT], scene: WiredScene
     ) -> EquilibriumConditions:
-        """Return the paths of steady flow through the body, which an equilibrium requires.
+        """Return the pin pairs between which the body carries a constant force or flow.
 
         The body transmits a constant force, torque, heat flow or volume flow from each
         displacement, angle, temperature or pressure pin to the reference pin. The pin ``heat``,

@@ -31,7 +31,8 @@ MAX_MODES = 6  # largest number of modes that are compared with a piston
 LOWEST_SHARE = 0.1
 # number of logarithmically spaced frequencies in the search for the largest level
 SEARCH_POINTS = 150
-# Relative distances from each natural frequency at which the search has additional frequencies.
+# The search for the largest sound level contains additional frequencies at these relative distances
+# below and above each natural frequency.
 MODE_DISTANCES = np.geomspace(1e-4, 0.1, 16)
 MODE_RATIOS = np.concatenate([1 - MODE_DISTANCES, [1.0], 1 + MODE_DISTANCES])
 # Each refinement divides the frequency interval around a peak by (REFINED_POINTS - 1) / 2 = 5.
@@ -39,7 +40,7 @@ REFINEMENTS, REFINED_POINTS = 3, 11
 # Only peaks within this margin [dB] of the largest peak are refined.
 # Between two points of the first search, a peak with a Q factor of 200 appears up to 12 dB lower.
 PEAK_MARGIN = 12.0
-# largest expected ratio of the frequencies of one resonance on two different supports
+# largest expected ratio by which a change of the support shifts a resonance frequency
 HALF_OCTAVE = 2**0.5
 # Pa/V, lower limit of the sound pressure per volt, to avoid the logarithm of zero.
 MIN_PRESSURE = 1e-300
@@ -65,8 +66,8 @@ class LoadedFace:
     """Face of a body, with the full model of the body and its acoustic load.
 
     ``joined`` contains the names of all connected acoustic ports of the body, in the order of the
-    load. For at most ``count`` modes with natural frequencies below ``end`` [Hz], the motion of the
-    face is compared with the motion of a piston.
+    faces in ``load.faces``. For at most ``count`` modes with natural frequencies below ``end``
+    [Hz], the motion of the face is compared with the motion of a piston.
     """
 
     device: FiniteElementModel

@@ -33,7 +33,8 @@ TOLERANCE = 0.01  # relative tolerance of a resonance frequency and of a support
 # Reference for the 2 dB error of the dipole formula: F. M. Wiener, J. Acoust. Soc. Am. 23 (1951)
 # 697.
 LARGEST_DIPOLE_KA = 1.5
-# Smallest ratio of mean to rms velocity of a face in a mode that radiates a volume velocity.
+# A mode of a body counts as a sound source if the ratio of mean to rms velocity of the face is
+# larger than this value.
 # A ratio of mean to rms velocity below 1e-6 is a rounding error, for example in a torsional mode.
 SMALLEST_PISTON_RATIO = 1e-6
 # Difference [dB] of radiated power between face and piston, above which a run prints a warning.
@@ -54,14 +55,14 @@ class FaceLevelEffects:
     peak : ratio of the largest to the mean displacement of the face.
     power : radiated power [dB] relative to a piston with the same volume velocity. ``worst`` [dB]
         is the value of ``power`` with the largest magnitude of all modes in the band.
-        ``worst_frequency`` [Hz] is the natural frequency of the mode with the power ``worst``.
-        ``power``, ``worst`` and ``worst_frequency`` are 0 without a part of type ``radiation`` on
-        the face.
+        ``worst_frequency`` [Hz] is the natural frequency of the mode whose ``power`` has the
+        largest magnitude. ``power``, ``worst`` and ``worst_frequency`` are 0 without a part of type
+        ``radiation`` on the face.
     shift : relative change of the resonance frequency by the near field of a face that works into
-        other acoustic parts, infinite if unknown. ``near_field`` is the effect [dB] of ``shift`` on
-        the level.
-    size : product k a of wave number and radius of the piston in a baffle that represents the face,
-        None if the scene assumes no baffle.
+        other acoustic parts, infinite if unknown. ``near_field`` is the change [dB] of the sound
+        level that ``shift`` causes.
+    size : product k a, where k is the wave number and a the radius of the baffled piston that
+        represents the face. ``size`` is None if the scene assumes no baffle.
     unbaffled : change [dB] of the level if the assumed baffle is removed; None if the scene assumes
         no baffle, or if ``size`` exceeds :data:`LARGEST_DIPOLE_KA`.
     detuned : change [dB] of the level at a frequency 1 % beside the resonance. ``detuned`` is None

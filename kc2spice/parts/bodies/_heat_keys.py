@@ -58,7 +58,7 @@ class FilmKeys(Section):
 
 
 class InterfaceKeys(Section):
-    """Keys of a joint between two materials with a thermal resistance."""
+    """Keys of the thermal resistance of a joint between two materials."""
 
     between: tuple[str, str] = Field(
         examples=['["case", "chip"]'],

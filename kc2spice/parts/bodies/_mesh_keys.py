@@ -102,7 +102,7 @@ class GroupKeys(Section):
     def make_selection(self, unit: float) -> dict[str, Any]:
         """Make the selection of CAD entities, with coordinates in the CAD file's unit.
 
-        The coordinates are multiples of ``unit`` [m].
+        The coordinates [m] are divided by ``unit`` [m], the length unit of the CAD file.
         """
         kind = next(iter(self.model_fields_set)).removesuffix("_in")
         dimension = ("points", "curves", "faces", "solids").index(kind)

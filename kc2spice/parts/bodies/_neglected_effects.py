@@ -1,8 +1,9 @@
 """Effects that all finite-element bodies neglect, with estimates of their size.
 
 The sizes of the neglected effects are computed from an :class:`Envelope`, which contains the outer
-dimensions, mass and layers of a body. An envelope is derived from the keys of a body before a mesh
-exists. An effect that the model of a body includes, such as a layer of glue, is not listed.
+dimensions, mass and layers of a body. The outer dimensions, mass and layers in an :class:`Envelope`
+follow from the keys of a body, so no mesh is necessary. An effect that the model of a body
+includes, such as a layer of glue, is not listed.
 """
 
 from __future__ import annotations

@@ -108,7 +108,10 @@ class SoundingBody(LinearBody[FieldKeysT]):
     def _load_or_estimate_levels(
         self, part: Part[FieldKeysT], scene: Scene, port: str, facing: FluidAtFace
     ) -> FaceLevelEffects | None:
-        """Load or estimate how assumptions about a face change its sound level."""
+        """Return how assumptions about a face change the face's sound level.
+
+        The result is loaded from the cache, or estimated with the full model.
+        """
         from kc2spice.parts.acoustics._acoustic_load import collect_load
         from kc2spice.parts.bodies._face_response import MAX_MODES, LoadedFace
         from kc2spice.parts.bodies._face_sound_levels import FaceLevelEffects
@@ -145,7 +148,7 @@ class SoundingBody(LinearBody[FieldKeysT]):
             return self._estimate_levels(part, scene, face)
 
         def load_or_estimate_effects() -> FaceLevelEffects | None:
-            """Load the effects of assumptions on the sound level, or estimate these effects."""
+            """Return the effects on the sound level, from the cache or from a new estimate."""
             sources = (*LEVEL_SOURCES, "kc2spice.parts.acoustics", "kc2spice.parts.bodies")
             return load_or_build(
                 "face", key, estimate_effects, classes=(FaceLevelEffects,), sources=sources
@@ -214,7 +217,7 @@ class SoundingBody(LinearBody[FieldKeysT]):
     def figures(
         self, part: Part[FieldKeysT], build: BuiltScene, waves: Waveforms
     ) -> Iterator[Figure | FileWriter]:
-        """Return the figures of the part, and the writers of its additional output files."""
+        """Return the diagrams of the part, and the writers of its additional output files."""
         faces = self._plot_face_displacements(part, build, waves)
         return chain(super().figures(part, build, waves), faces)
 

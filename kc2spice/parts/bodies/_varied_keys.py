@@ -29,7 +29,7 @@ MIN_RELATIVE_WIDTH = 1e-3  # smallest relative width of a range
 class VariedKey:
     """Numeric key of a part that varies over a range, such as ``layers[1].thickness``.
 
-    A range from zero is possible for some part types.
+    Some part types permit a range that begins at zero.
     """
 
     key: str
@@ -99,7 +99,8 @@ def make_varied_key(
 ) -> VariedKey:
     """Return a varied key with its range, whose ``ends`` may have any order.
 
-    With ``from_zero``, the range may begin at zero. ``example`` is the form of a range in errors.
+    With ``from_zero``, the range may begin at zero. ``example`` is the format string with which an
+    error message writes a valid range.
 
     Raises
     ------

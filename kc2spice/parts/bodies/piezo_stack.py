@@ -58,8 +58,9 @@ if TYPE_CHECKING:
 
 # Frequency [Hz] at which the chip of Schütz et al. (2021) has a damping ratio of 1 % by default.
 DAMPING_FREQUENCY = 250e3
-# Damping ratio at ``DAMPING_FREQUENCY`` below which the chip rings during the whole kick.
-# While the chip rings, the errors of the time steps add up.
+# A piezoelectric chip rings during the whole kick if its damping ratio at ``DAMPING_FREQUENCY`` is
+# below this value.
+# During the ringing of a piezoelectric chip, the errors of the time steps add up.
 # With the reltol for a damping ratio of 1 %, chips with a damping ratio of 0.01 to 0.1 % have
 # launch velocity errors of up to 2.6e-4.
 RINGING_DAMPING = 4e-3
@@ -70,9 +71,10 @@ LOW_KICK_FACTOR = 0.03
 # Factor on reltol for a downward kick.
 # In a downward kick, the chip leaves the sphere, vibrates freely, and strikes the sphere again.
 # The errors of all time steps change the phase of the ringing at the impact.
-# A reltol of 1e-4 is too large for -100 V: the relative error of the launch velocity is 1.2e-2.
-# For -100 V, a reltol of 1e-6 reduces the relative error of the launch velocity to 6e-4.
-# For -100 V, a reltol of 1e-7 reduces the relative error of the launch velocity to 1.1e-4.
+# In a kick of -100 V, a reltol of 1e-4 is too large: it causes a relative error of the launch
+# velocity of 1.2e-2.
+# In a kick of -100 V, a reltol of 1e-6 reduces the relative error of the launch velocity to 6e-4.
+# In a kick of -100 V, a reltol of 1e-7 reduces the relative error of the launch velocity to 1.1e-4.
 DOWNWARD_RELTOL_FACTOR = 2e-3
 # ratio of the top face's speed in a downward kick to its speed in an upward kick
 DOWNWARD_SPEED_RATIO = 0.1
@@ -95,7 +97,7 @@ PAPER_ORDER = 30  # number of unknowns of the reduced model in Schütz et al. (2
 # Keys that determine the finite-element model.
 # All other keys, such as ``drive``, only affect the circuit.
 CHIP_KEYS = set(StackKeys.model_fields)
-# A chip counts as the chip of Schütz et al. (2021) for any values of these keys.
+# The comparison of a chip with the chip of Schütz et al. (2021) ignores the values of these keys.
 KEYS_IGNORED_FOR_PAPER_CHIP = {"mesh", "damping", "mounting", "preload_spring", "layer_thickness"}
 
 
@@ -328,10 +330,11 @@ class PiezoStack(MeshedBody[PiezoStackKeys]):
     ) -> Iterator[NumericalRequirements]:
         """Yield requirements on time step and tolerances for contacts with a piezo stack.
 
-        Ringing of the chip and kicks with a low voltage require tighter tolerances. Ringing
-        increases the phase error of the trapezoidal rule. A kick with a low voltage closes fewer
-        contact rings, so its launch velocity depends more on each time step. At 40 to 60 V, the
-        relative error of the launch velocity is ten times the error at 100 V with the same
+        Tighter tolerances are necessary if the chip rings, or if the drive pulse has a low voltage.
+        Ringing increases the phase error of the trapezoidal rule. If the drive pulse has a low
+        voltage, fewer contact rings of the chip touch the sphere. With fewer touching contact
+        rings, the launch velocity is more sensitive to the error of each time step. At 40 to 60 V,
+        the relative error of the launch velocity is ten times the error at 100 V with the same
         tolerances. The error of the launch velocity is proportional to reltol^0.55.
         """
         if not scene.list_parts("contact"):
@@ -357,9 +360,10 @@ class PiezoStack(MeshedBody[PiezoStackKeys]):
     def weights(self, part: Part[PiezoStackKeys], scene: DeclaredScene) -> StepWeights:
         """Return the weights of the body's modes in the simulator's time step control.
 
-        A chip that first moves downwards rings until it hits the sphere, and the ringing affects
-        the launch velocity. To resolve the ringing of a chip that first moves downwards, the
-        weights are ``THROWING_WEIGHTS``.
+        If the drive pulse is negative, the chip first moves downwards, and then vibrates until it
+        hits the sphere. The vibration of the chip before the impact affects the launch velocity. To
+        resolve the vibration before the impact, the weights for a negative drive pulse are
+        ``THROWING_WEIGHTS``.
         """
         return THROWING_WEIGHTS if _moves_down_first(part) else super().weights(part, scene)
 
@@ -486,7 +490,11 @@ class PiezoStack(MeshedBody[PiezoStackKeys]):
         return result
 
     def indentation_modulus(self, part: Part[PiezoStackKeys]) -> float:
-        """Return the indentation modulus [Pa] of the top surface: a cap or the ceramic."""
+        """Return the indentation modulus [Pa] of the material at the top surface.
+
+        If the stack has a top cap, the material is the material of the top cap. Otherwise, the
+        material is the ceramic.
+        """
         keys, cap = part.keys, part.keys.top_cap
         stated = None if cap is None else cap.material
         top = keys.ceramic if stated is None else find_material(stated, "top_cap.material")

@@ -7,7 +7,7 @@ Bending with the deflection w(x) elongates a beam of length l with fixed ends by
 (S. D. Senturia, Microsystem Design, 2001, chapter 10). The model uses the mean deflections w_k of
 equal strips of width d, which lie in a row between the clamps. The slope between the strips k and
 k+1 is ``w' = (15 (w_k+1 - w_k) - (w_k+2 - w_k-1)) / (12 d)``, which is exact for cubics. Beyond a
-clamp, w is the mirror image of w before the clamp.
+clamp, the model continues the deflection w as its mirror image about the clamp.
 
 The energy of a plate that is clamped along all edges has the same expression; its face is divided
 into rows of patches. For the plate, ``e = int |grad w|^2 dA / (2 * width)`` and ``stiffness = E * h
@@ -39,9 +39,10 @@ from kc2spice.scene.scene_classes import GovernedScene, Part
 class StretchKeys(Section):
     """Keys of the stretching force of a beam or plate.
 
-    ``a`` is the name of a beam that is clamped at both ends and has a row of patches. Instead of a
-    name, ``a`` can be a list of at least three ports. ``a`` can also be the name of a plate that is
-    clamped along all edges. On a plate, there are ``rows`` rows of patches, numbered row by row.
+    The key ``a`` contains the name of a beam that is clamped at both ends and has a row of patches.
+    Instead of a name, ``a`` can be a list of at least three ports. ``a`` can also be the name of a
+    plate that is clamped along all edges. On a plate, there are ``rows`` rows of patches, numbered
+    row by row.
     """
 
     a: str | tuple[str, ...] = Field(

@@ -54,8 +54,8 @@ SENSE_RESISTANCE = 100.0
 MAX_COMMAND = 10.0
 SUPPLY_VOLTAGE = 400.0  # smallest supply voltage [V] of the output stage
 SUPPLY_RATIO = 1.2  # ratio of supply voltage to required output voltage
-ENABLE_EDGE = 1e-8  # s, rise and fall time of the enable signal
-DISCHARGE_TIME = 1e-6  # s, time constant of the integral's decay in a disabled controller
+ENABLE_EDGE = 1e-8  # rise and fall time [s] of the enable signal
+DISCHARGE_TIME = 1e-6  # time constant [s] of the integral's decay in a disabled controller
 
 
 # Netlist parameters for the gains of a controller. Each row contains a gain, and the name, unit and
@@ -83,10 +83,10 @@ def _list_pins(output: bool) -> tuple[Terminal, ...]:
 def declare_control(control: PidKeys, *, output: bool = True) -> Declaration:
     """Return the declaration of the ideal PID controller.
 
-    The output current is ``i = clip(kp e + ki integral(e) + kd de/dt / (1 + rolloff s),
-    +-current_limit)`` between ``drive`` and ``sense``, where ``e = setpoint - y`` is a sensor
-    voltage. If ``output`` is false, the controller has no output current. Without an output
-    current, the voltage at the pin ``command`` represents the computed current ``i``: 100 V stand
+    The output current between ``drive`` and ``sense`` is ``i = clip(kp e + ki integral(e) + kd
+    de/dt / (1 + rolloff s), +-current_limit)``, where ``e = setpoint - y`` is the error [m] of the
+    height ``y``. If ``output`` is false, the pin ``command`` replaces the pins ``drive`` and
+    ``sense``. The voltage at the pin ``command`` represents the computed current ``i``: 100 V stand
     for 1 A. The integral is constant while the current is at its limit. The integral and the
     current are zero until the voltage at ``enable`` rises to 1 V. If a gain is zero, its term and
     its parameter are left out.
@@ -156,8 +156,9 @@ def make_pid_subcircuit(
 ) -> Subcircuit:
     """Return the subcircuit of a PID controller that drives coils.
 
-    The inputs of the subcircuit are ``y``, the height of the sphere, and ``enable``. The output
-    stage measures the coil current with a resistor of at most 100 Ohm. At the current limit, this
+    The inputs of the subcircuit are the pins ``enable`` and ``y``. The signal at the pin ``y`` is
+    the height of the sphere's centre above the surface on which the sphere rests. The output stage
+    measures the coil current with a resistor of at most 100 Ohm. At the current limit, this
     resistor has a voltage of at most 10 V, which is within the supply voltages of the amplifiers.
     The supply voltage of the output stage is a multiple of 100 V. The supply voltage suffices for
     the limit current through coils with the resistance ``load`` [Ohm], with a margin for changes of
@@ -211,7 +212,7 @@ class Pid(PartType[PidKeys]):
     def generate_tables(
         self, part: Part[PidKeys], data: Mapping[str, object]
     ) -> Mapping[str, Mapping[str, object]]:
-        """Return a mapping with one table: the source that switches the controller."""
+        """Return a mapping with one table: the source that enables the controller."""
         switching, pins = part.keys.switching_times, {"out": f"{part.name}.enable"}
         if len(switching) == 1:
             wave = {"high": 1.0, "width": 1e3, "edge": ENABLE_EDGE, "start": switching[0][0]}

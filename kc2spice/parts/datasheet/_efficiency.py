@@ -21,11 +21,13 @@ def compute_efficiency(part: Part, scene: Scene, waves: Waveforms) -> np.ndarray
 
         P = angle r^2 |p|^2 / (rho c)
 
-    where p is the pressure on the axis at the distance r, and ``angle`` is the solid angle of the
-    radiating surfaces. The formula for the radiated power neglects that large surfaces radiate less
-    sound off their axis. The scene must have one loudspeaker, and one listener on the axis of
-    surfaces that radiate into one fluid. In a transient, the sources must also have a common
-    period. If the scene does not meet these conditions, the function returns None.
+    where p is the pressure on the axis at the distance r, and ``angle`` is the solid angle into
+    which the surfaces radiate. The fluid has the density rho and the sound speed c. The formula for
+    the radiated power neglects that large surfaces radiate less sound off their axis. The scene
+    must have exactly one loudspeaker and one listener. The listener must be on the axis of the
+    radiating surfaces. All radiating surfaces must have the same ``shape`` and adjoin the same
+    fluid. In a transient, the sources must also have a common period. If the scene does not meet
+    these conditions, the function returns None.
     """
     listener, lines = scene.find_only_part("listener"), (f"{part.name}.v", f"{part.name}.i")
     if listener is None or scene.find_only_part(part.type.name) is None:

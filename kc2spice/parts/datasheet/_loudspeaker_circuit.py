@@ -213,8 +213,9 @@ def _add_sound(terms: _DeclarationTerms, sides: tuple[str, ...], area: float) ->
     """Add acoustic pins, which an ideal transformer couples to the cone.
 
     The ratio of the transformer is the area ``sd``. The pressure p behind the cone contributes the
-    coenergy ``sd x p``. The pressure p in front of the cone contributes the coenergy ``-sd x p``,
-    because a pressure in front opposes an outward displacement x.
+    coenergy ``sd * x * p``, where x is the outward displacement of the cone. The pressure p in
+    front of the cone contributes the coenergy ``-sd * x * p``, because a pressure in front opposes
+    an outward displacement x.
     """
     terms.params.append(
         make_positive_parameter("sd", round_to_digits(area), "m2", "effective area of the cone")

@@ -1,4 +1,4 @@
-"""Unknowns of a circuit that match the values of a data sheet.
+"""Computation of a circuit's unknowns from the values of its data sheet.
 
 Each value is a function of the unknowns, and some values may be redundant. Unknowns and values are
 positive, and the equations are solved for their logarithms: with ``x = ln(unknowns)`` and the
@@ -226,7 +226,7 @@ class StatedValues:
                 redundant[key] = others._compute_sensitivities(key, x)
         if not any(self._is_contradicted(key, shares, x) for key, shares in redundant.items()):
             return
-        # without some values, only a circuit with absurd other values is a solution
+        # Select the values whose removal leaves a realistic circuit with all other stated values.
         possible = {
             key: shares for key, shares in redundant.items() if self._has_implied_value(key)
         }
@@ -238,7 +238,7 @@ class StatedValues:
         raise self._make_contradiction_error(key, other)
 
     def _has_implied_value(self, key: str) -> bool:
-        """Return whether the other stated values are the values of a realistic circuit."""
+        """Return whether some realistic circuit has every stated value except ``key``."""
         others = self._drop_value(key)
         logarithms = others._fitted_logarithms
         value = math.exp(others._compute_logarithm(key, logarithms))
@@ -246,7 +246,11 @@ class StatedValues:
         return SMALLEST_VALUE < value < 1 / SMALLEST_VALUE and not any(misfits)
 
     def _is_suspect(self, key: str) -> bool:
-        """Return whether the value, or the list that contains the value, is a suspect."""
+        """Return whether a value is a probable cause of contradictory values.
+
+        A value is a probable cause if ``suspects`` contains the value, or the list to which the
+        value belongs.
+        """
         return key.partition("[")[0] in self.suspects
 
     def _is_contradicted_at(self, key: str, x: np.ndarray) -> bool:
@@ -269,8 +273,8 @@ class StatedValues:
     def _require_unique_circuit(self, x: np.ndarray) -> None:
         """Raise an error if two different circuits have the same stated values.
 
-        For each unknown, the search for a second circuit starts with this unknown multiplied and
-        divided by :data:`RESTART_FACTOR`.
+        For each unknown, the search for a second circuit runs twice: with the unknown multiplied by
+        :data:`RESTART_FACTOR`, and with the unknown divided by :data:`RESTART_FACTOR`.
         """
         steps = math.log(RESTART_FACTOR) * np.eye(x.size)
         for start in (*(x + steps), *(x - steps)):
@@ -295,7 +299,7 @@ class StatedValues:
                 )
 
     def _compare_circuits(self, key: str, x: np.ndarray, y: np.ndarray) -> float:
-        """Compare two circuits by the logarithm of the ratio of one data-sheet value."""
+        """Return the logarithm of the ratio of the values of ``key`` in two circuits."""
         return self._compute_logarithm(key, x) - self._compute_logarithm(key, y)
 
     def _compute_sensitivities(self, key: str, x: np.ndarray) -> dict[str, float]:

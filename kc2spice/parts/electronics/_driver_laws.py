@@ -1,10 +1,10 @@
 """Equations of the drivers' circuits, for the independent integrator.
 
 Each function ``declare_…`` declares the circuit that one netlist template ``templates/driver_….j2``
-contains. The declaration and the template have equal nodes. A declaration describes resistors as
-terms of the content function, capacitors as terms of the coenergy function, and controlled sources
-as output currents. An inner node of a driver is declared as a pin to which no other part is
-connected. The equations do not include noise.
+contains. Each node of a declaration corresponds to one node of the template. A declaration
+describes resistors as terms of the content function, capacitors as terms of the coenergy function,
+and controlled sources as output currents. An inner node of a driver is declared as a pin to which
+no other part is connected. The equations do not include noise.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ SERIES_PARAMETER = "series_resistance"
 # Gain of the feedback that keeps the output voltage of a controller's amplifier within its rails.
 # The gain is the conductance of the rail, 1 kS, divided by the input conductance, 1 mS.
 RAIL_GAIN = 1e6
-# Amplitude of a sine; the arcsine of this sine is the triangular carrier of a PWM driver.
+# The triangular carrier of a PWM driver is the arcsine of a sine with this amplitude.
 # With an amplitude below 1, the corners of the triangle are rounded.
 SINE_SHARE = 0.9999
 PI_BANDWIDTH = 1e7  # Hz, gain-bandwidth product of the amplifier of a PI controller
@@ -95,7 +95,8 @@ def declare_linear_drive(parameters: Iterable[Param], sense: float) -> Declarati
 
     A sense resistor ``sense`` [Ohm] connects ``ret`` to ``ref``. R1 = 1 kOhm connects ``ret`` to
     ``inverting``, and R2 = ``ratio`` R1 connects ``inverting`` to ``middle``. A capacitor connects
-    ``middle`` to ``drive``. The time constant of this capacitor with R2 is ``constant``.
+    ``middle`` to ``drive``. The parameter ``constant`` [s] is the time constant of R2 and this
+    capacitor.
     """
     return Declaration(
         "linear_drive",

@@ -252,7 +252,7 @@ class Driver(TemplatePart[KeysT]):
 
     @abstractmethod
     def declare_circuit(self, parameters: tuple[Param, ...]) -> Declaration:
-        """Return the declaration of the driver's circuit for its netlist parameters."""
+        """Return the declaration of the driver's circuit with the netlist ``parameters``."""
 
     def law(self, part: Part[KeysT], build: BuiltScene) -> laws.Equations | laws.MissingEquations:
         """Return the part's law: its model equations, solved by kc2spice without ngspice."""
@@ -318,7 +318,7 @@ class Driver(TemplatePart[KeysT]):
         return np.asarray(volts + total * waves[f"{part.name}.i"])
 
     def checks(self, part: Part[KeysT], build: BuiltScene, waves: Waveforms) -> Iterator[Check]:
-        """Yield the checks of the output voltage at and beyond the rails.
+        """Yield the checks for clipping at the rails and for an output beyond the rails.
 
         The check of the rails detects a load that drives the output beyond the rails. The checked
         voltage is the voltage before the output resistances. The diodes of a bridge keep its

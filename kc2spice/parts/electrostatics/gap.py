@@ -12,18 +12,18 @@ patch (:mod:`kc2spice.parts.mechanics._mechanical_stop`).
 
 The gas film is a rectangle of length l and width w that is vented on all sides (J. J. Blech, J.
 Lubr. Technol. 105 (1983) 615). The pressure of the gas film is a series of the terms ``sin(m pi x /
-l) sin(n pi y / w)`` with odd m and n. Each term of the series is modelled as a damper c in series
-with a spring k, which represents the trapped gas. The displacement that acts on the damper and
-spring of a series term is a weighted sum of the patch displacements. For term (m, n), the weight of
-a patch is the patch's share of the integral of ``sin(m pi x / l)`` over the length of the film.
+l) sin(n pi y / w)`` with odd m and n. Each term of the pressure series is modelled as a damper c in
+series with a spring k, which represents the trapped gas. In each term of the pressure series, a
+weighted sum of the patch displacements acts on the damper and spring. For term (m, n), the weight
+of a patch is the patch's share of the integral of ``sin(m pi x / l)`` over the length of the film.
 Term (m, n) has the damper ``c = 48 * viscosity * S^2 / (q^2 * gap^3 * l * w)`` and the spring ``k =
 4 * pressure * S^2 / (gap * l * w)``. The integral of term (m, n) over the gas film is ``S = 4 l w /
 (pi^2 m n)``. The squared wave number of term (m, n) is ``q^2 = pi^2 (m^2 / l^2 + n^2 / w^2)``.
 
-Only the ``branches`` largest terms have a spring. All other terms together form a single damper. By
-default, ``branches`` is chosen so that the errors of damping and force are within a tolerance up to
-the highest frequency of the scene. All dampers increase in proportion to ``(gap / mean d)^3`` when
-the gap closes.
+Only the largest terms of the pressure series have a spring; ``branches`` is the number of these
+terms. All other terms together form a single damper. By default, ``branches`` is chosen so that the
+errors of damping and force are within a tolerance up to the highest frequency of the scene. All
+dampers increase in proportion to ``(gap / mean d)^3`` when the gap closes.
 """
 
 from __future__ import annotations
@@ -74,14 +74,15 @@ from kc2spice.scene.scene_classes import (
 
 PATCH_PREFIX = "patch"  # prefix of the names of ports that form a row of patches
 # Relative error of the ratio force / displacement due to the iterations for an operating point.
-# Damping that is smaller than this error counts as zero.
+# The damping is reported as zero if the ratio of damping force to total force is below
+# ITERATION_ROUNDING.
 ITERATION_ROUNDING = 1e-9
 # Largest relative change of the capacitance that counts as zero.
 # This change of the capacitance is far above the rounding errors of ngspice.
 MAX_CAPACITANCE_CHANGE = 1e-5
 # Largest odd m and n of the film series; the remaining terms contribute 1e-4 of the damping.
 MAX_SERIES_INDEX = 99
-# factor on the number of film branches for the model of ``verify``
+# number of film branches in the model of ``verify``, divided by their number in the netlist
 REFINEMENT_RATIO = 2
 # Smallest and largest number of film branches.
 # At least 3 film branches are modelled, because the motion can contain higher frequencies than the
@@ -227,18 +228,18 @@ class Gap(PatchedPart[GapKeys]):
     def build(
         self, part: Part[GapKeys], scene: Scene, clock: StageTimer, full: bool = False
     ) -> int | None:
-        """Return the number of gas-film branches of the full model, or None.
+        """Return the number of gas-film branches if ``full`` is true, otherwise None.
 
         If ``full`` is true, the gas film has :data:`REFINEMENT_RATIO` times as many branches as in
-        the netlist. If ``full`` is false or the gap has no gas film, the result is None.
+        the netlist. If the gap has no gas film, the result is None.
         """
         return REFINEMENT_RATIO * count_film_branches(part, scene) or None if full else None
 
     def law(self, part: Part[GapKeys], build: BuiltScene) -> laws.Equations:
         """Return the part's law: its model equations, solved by kc2spice without ngspice.
 
-        The equations have the same pins as the netlist. A reference model with more film branches
-        has additional pins, which are omitted.
+        The equations have the same pins as the netlist. The equations omit the additional pins of a
+        reference model with more film branches.
         """
         result, known = super().law(part, build), set(list_names(build.scene.pins(part.name)))
         return replace(result, pins=tuple(pair for pair in result.pins if pair[0] in known))
@@ -441,9 +442,10 @@ def _check_film(part: Part[GapKeys], build: BuiltScene, waves: Waveforms) -> Ite
 def _declare_gap(text: str, count: int, film_branches: int, top: float) -> Declaration:
     """Return the declaration of an electrostatic gap with ``count`` patches.
 
-    The series of the gas film has ``film_branches`` terms with a spring. ``text`` contains the keys
-    of the gap as a JSON string. The list of neglected effects states the error of the gas-film
-    series at the frequency ``top`` [Hz].
+    ``film_branches`` is the number of gas-film terms that are modelled by a damper and a spring. A
+    single damper represents all other gas-film terms. ``text`` contains the keys of the gap as a
+    JSON string. The list of neglected effects states the error of the gas-film series at the
+    frequency ``top`` [Hz].
     """
     keys = GapKeys.model_validate_json(text)
     shares = keys.shares or (1 / count,) * count
@@ -554,10 +556,10 @@ def _split_series(
 ) -> tuple[list[tuple[float, float, np.ndarray]], float]:
     """Return the largest gas-film terms, and one damper for all smaller terms.
 
-    The first returned value is a list of the ``branches`` series terms with the largest dampers.
-    The second returned value is the sum of the dampers of all series terms that are not in the
-    returned list. Each term contains the damper times gap^3, the spring times gap, and the
-    contribution of each patch to the displacement of the term.
+    The first returned value is a list of the series terms with the largest dampers; ``branches`` is
+    the length of the list. The second returned value is the sum of the dampers of all series terms
+    that are not in the returned list. Each listed term contains the damping coefficient times
+    gap^3, the stiffness times gap, and the weight of each patch displacement.
     """
     dampers, springs, orders = _compute_series_terms(film)
     edges = np.linspace(0, 1, count + 1)

@@ -85,7 +85,7 @@ class CurrentCases(PartType[CurrentCasesKeys]):
     def governed_parts(
         self, part: Part[CurrentCasesKeys], scene: DeclaredScene
     ) -> Mapping[str, Governed]:
-        """Return the governed parts: the sphere, which is moved, and the copied coils."""
+        """Return the sphere, whose motion this part prescribes, and the copied coils."""
         return {_find_sphere(part, scene): "moved", _find_coils(part, scene).name: "copied"}
 
     def cards(self, part: Part[CurrentCasesKeys], build: BuiltScene) -> tuple[Item, ...]:
@@ -120,7 +120,7 @@ class CurrentCases(PartType[CurrentCasesKeys]):
     def settable_quantities(
         self, part: Part[CurrentCasesKeys], build: BuiltScene
     ) -> Mapping[str, SweptSource]:
-        """Return the settable source of the sphere's height, which a dc sweep varies."""
+        """Return the voltage source with which the dc sweep sets the sphere's height."""
         keys = _find_coils(part, build.scene).keys
         heights = keys.y_min + keys.shift, keys.y_max + keys.shift
         return {

@@ -109,7 +109,7 @@ class PortLoads(PartType[PortLoadsKeys]):
     def governed_parts(
         self, part: Part[PortLoadsKeys], scene: DeclaredScene
     ) -> Mapping[str, Governed]:
-        """Return the governed part: the body, which is copied for each loaded port."""
+        """Return the body, which this part copies for each loaded port."""
         return {find_loaded_body(part, scene).name: "copied"}
 
     def cards(self, part: Part[PortLoadsKeys], build: BuiltScene) -> tuple[Item, ...]:
@@ -212,7 +212,7 @@ class PortLoads(PartType[PortLoadsKeys]):
     def figures(
         self, part: Part[PortLoadsKeys], build: BuiltScene, waves: Waveforms
     ) -> Iterator[Figure]:
-        """Yield the figures of the part for the report."""
+        """Yield the diagrams of the part for the report."""
         f = waves["frequency"].real / 1e3
         rings = _list_loaded_rings(find_loaded_body(part, build.scene), build.scene)
         curves = tuple(Curve(ring, f, np.abs(waves[f"{ring}>{ring}"])) for ring in rings)

@@ -83,9 +83,9 @@ class Push(TouchablePart[PushKeys]):
         return bottom, Terminal.make_rate_pin("v", TRANSLATION, GROUND)
 
     def governed_parts(self, part: Part[PushKeys], scene: DeclaredScene) -> Mapping[str, Governed]:
-        """Return the governed part: the sphere, which this part moves.
+        """Return the sphere, whose motion this part prescribes.
 
-        The value for the sphere is ``"moved"``.
+        The returned mapping assigns the value ``"moved"`` to the name of the sphere.
         """
         return {find_sphere(part, scene).name: "moved"}
 

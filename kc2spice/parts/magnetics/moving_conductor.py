@@ -74,7 +74,7 @@ MAX_TURNS = 5  # largest number of turning points that are reported as metrics
 # The full model has twice as many rings as the reduced model.
 # The full model resolves twice the highest frequency of the reduced model.
 REFINEMENT_RATIO = 2
-# description of the method that computes couplings without rings
+# description of the method that computes the couplings of a conductor without a division into rings
 CIRCLE_METHOD = "closed form of coaxial circles"
 MIN_FREQUENCY = 1e3  # Hz, frequency up to which eddy currents are always resolved
 # Assumed inductance of a coil above a conductor, divided by the inductance of the coil alone.
@@ -90,7 +90,8 @@ MAX_RING_ERROR = 0.02
 # Largest permitted change of a magnet's path in ``verify``, relative to the path.
 # The full model of ``verify`` has a ten times smaller tolerance for the magnet's field.
 MAX_PATH_CHANGE = 1e-3
-# Finer rings are assumed to remove at least this fraction of the ring error.
+# A finer division of the conductor into rings is assumed to reduce the error of the division by at
+# least this fraction.
 MIN_CHANGE_RATIO = 0.1
 
 
@@ -136,8 +137,8 @@ class ConductionKeys(Section):
 class MovingBodyKeys(ConductorKeys):
     """Keys of a body that moves along the common axis of coils and magnets.
 
-    The coordinate y is the height of the body's centre of mass. A part ``mass`` at the pin ``a``
-    represents the mass of the body.
+    The coordinate y is the height of the body's centre of mass, with the same zero as the heights
+    of the coils and magnets. A part ``mass`` at the pin ``a`` represents the mass of the body.
     """
 
     radius: Length = Field(gt=0, description="Outer radius of the moving body")
@@ -403,9 +404,9 @@ class MovingBody(DeclaredPart[MovingT]):
     ) -> LoopModel:
         """Build or load the current loops of the body and their couplings to the coils.
 
-        The ``full`` model has more loops and rings, and resolves twice the highest frequency. A
-        smaller tolerance makes the couplings of the full model more accurate than in the reduced
-        model.
+        The ``full`` model has more loops and rings than the reduced model, and resolves twice the
+        highest frequency. The full model also has a smaller tolerance, so that its couplings are
+        more accurate than the couplings of the reduced model.
         """
         keys, frequency = part.keys, self.find_resolved_frequency(part, scene)
         tolerance = (TOLERANCE_RATIO if full else 1.0) * keys.tolerance
@@ -478,7 +479,7 @@ class MovingBody(DeclaredPart[MovingT]):
         yield from super().checks(part, build, waves)
 
     def figures(self, part: Part[MovingT], build: BuiltScene, waves: Waveforms) -> Iterator[Figure]:
-        """Yield the figures of the part for the report."""
+        """Yield the diagrams of the part for the report."""
         y = waves.data.get(f"{part.name}.y")
         if y is not None and "time" in waves:
             path = Curve(part.name, 1e3 * waves["time"], 1e3 * y)

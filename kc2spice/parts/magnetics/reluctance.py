@@ -1,6 +1,6 @@
 """The part ``reluctance``: magnet or coil that pulls iron across air gaps.
 
-The part models relays, valves and holding magnets.
+A part of type ``reluctance`` represents the magnetic circuit of a relay, valve or holding magnet.
 """
 
 from typing import Annotated

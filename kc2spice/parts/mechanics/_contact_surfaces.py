@@ -31,12 +31,14 @@ FLOOR_PORT = "floor"  # name of the port of a fixed rigid plane
 SPHERE_PATCH = "patch"  # name of the port of an elastic sphere
 # Assumed force error of the pressure basis, divided by the change of the force on refinement.
 # On refinement, the basis functions of the pressure have half the width.
-# Compared with basis functions of a quarter of the width, the force error is 1.8 times the change
-# of the force when the width is halved. The assumed factor of 3 is therefore on the safe side.
+# A division of the width of the basis functions by 4 changes the force 1.8 times as much as a
+# division of the width by 2.
+# The assumed factor of 3 between force error and change of the force is therefore on the safe side.
 REFINEMENT_LIMIT = 3.0
 # Shortest interval without contact [s] that counts as a flight.
 # The interval is several times as long as a vibration period of a chip.
-# A shorter interval without contact counts as a bounce during the kick.
+# A shorter interval without contact counts as a bounce during a launch, not as the end of the
+# launch.
 _MIN_FLIGHT = 20e-6
 # Safety factor on the estimated indentation.
 # The factor is necessary, because a body is not a half-space and only a few rings carry the force.
@@ -252,7 +254,10 @@ class ContactPair:
 
     @cached_property
     def ports(self) -> tuple[str, ...]:
-        """Ports of the lower surface with a contact spring, sorted by distance from axis."""
+        """Ports of the contact's lower surface at which a contact spring acts.
+
+        The ports have the same order as in ``lower_surface.ports``.
+        """
         rings, ports = self.keys.rings, self.lower_surface.ports
         if (
             rings == "all"
@@ -279,11 +284,10 @@ class ContactPair:
 
     @property
     def may_move_at_start(self) -> bool:
-        """Whether a side of the contact may already move at t = 0.
+        """Whether a contact side may move at t = 0, or no launch from rest is possible.
 
-        Callers evaluate a launch from rest only if the value is false. The value is also true if
-        the upper side is fixed or the lower side is rigid, because a launch from rest is then
-        impossible.
+        A launch from rest is impossible if the upper side of the contact is fixed or the lower side
+        is rigid. Callers evaluate a launch from rest only if the value is false.
         """
         return (
             self.upper_surface.part == GROUND
@@ -308,9 +312,9 @@ class ContactPair:
         flank by ``s x`` with ``s = sin(g/2)``. The fraction ``s`` of the flank forces acts along
         the axis. With ``s = sin(g/2)``, the stiffness of a groove is ``2 s^(1 + power)`` times the
         stiffness of one flank. Each flank has the closing speed ``s x'``, which determines the
-        damping. An axial force F in a groove of opening angle g causes the normal force ``F / (2
-        sin(g/2))`` on each of the two flanks. The friction force along the groove is therefore ``1
-        / s`` times the friction force on a plane.
+        damping. A force F that presses a body into a groove of opening angle g causes the normal
+        force ``F / (2 sin(g/2))`` on each of the two flanks. The friction force along the groove is
+        therefore ``1 / s`` times the friction force on a plane.
         """
         keys, along = self.keys, (self.keys.damping, self.keys.friction, self.keys.creep)
         if keys.shape == "pressure":
@@ -497,7 +501,7 @@ def find_single_contact(scene: GovernedScene) -> ContactPair | None:
 def _get_indentation_law(
     shape: PressureBasis, compliance: np.ndarray, radius: float
 ) -> IndentationLaw:
-    """Return the indentation law of a pressure basis.
+    """Return the law of force versus indentation for a sphere on a compliant surface.
 
     Equal laws are computed only once.
     """
@@ -510,7 +514,8 @@ def _fit_cached_law(nodes: bytes, compliance: bytes, radius: float) -> Indentati
 
     ``nodes`` contains the radii [m] at which the pressure basis functions have their nodes.
     ``compliance`` is the compliance matrix of the surface, and ``radius`` [m] is the radius of the
-    sphere. The arrays are bytes, because the keys of the cache must be hashable and arrays are not.
+    sphere. The arrays are passed as bytes, because NumPy arrays are not hashable, but the keys of
+    the cache must be hashable.
     """
     from kc2spice.bodies.contact_pressure import PressureBasis, fit_indentation_law
 
@@ -562,10 +567,10 @@ def find_separation(
 
     A run can contain several flights, because a body can fall back and rebound again. The drive
     ends at the time ``busy`` [s]. Only flights that begin at most 20 us after the end of the drive
-    are compared. If all flights begin later than 20 us after the end of the drive, only the
-    earliest flight is used. The result is the start of the first compared flight whose speed is at
-    least half the speed of the fastest compared flight. The default ``busy = inf`` describes a
-    drive that never ends; in this case, the speeds of all flights are compared.
+    are candidates for the result. If all flights begin later than 20 us after the end of the drive,
+    only the earliest flight is a candidate. The result is the first candidate flight whose start
+    velocity is at least half the largest start velocity of all candidates. The default ``busy =
+    inf`` describes a drive that never ends, so that all flights are candidates for the result.
     """
     loaded = force > 1e-9 * force.max(initial=0.0)
     force = np.maximum(force, 0.0) ** (1 / power)

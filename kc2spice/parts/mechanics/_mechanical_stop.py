@@ -7,11 +7,11 @@ indents the stop by d at the rate v = dd/dt. The force of the stop is::
     loss = (1 - restitution^2) / (1 + restitution^2)
 
 Without ``damping``, a mass that is faster than ``slow`` feels ``1 + loss`` times the stiffness
-``stop`` while d increases, and ``1 - loss`` times this stiffness while d decreases. After an
-impact, a mass that was faster than ``slow`` has the fraction ``restitution^2`` of its energy. After
-an impact, a mass that was slower than ``slow`` comes to rest. Source: O. R. Walton, R. L. Braun, J.
-Rheol. 30 (1986) 949. The damping term is proportional to the stiffness (H. Hunt, F. R. E. Crossley,
-J. Appl. Mech. 42 (1975) 440).
+``stop`` while d increases, and ``1 - loss`` times this stiffness while d decreases. If the impact
+speed is above ``slow``, the mass rebounds with the fraction ``restitution^2`` of its kinetic energy
+before the impact. If the impact speed is below ``slow``, the mass comes to rest. Source: O. R.
+Walton, R. L. Braun, J. Rheol. 30 (1986) 949. The damping term is proportional to the stiffness (H.
+Hunt, F. R. E. Crossley, J. Appl. Mech. 42 (1975) 440).
 """
 
 from typing import Annotated
@@ -21,7 +21,8 @@ from pydantic import Field
 from kc2spice.core.quantities import Ratio, Section, si
 
 # Velocity [m/s] below which a mass does not rebound.
-# A mass that rebounds with this velocity would rise by only a nanometre against 5 m/s2.
+# A mass that rebounds with this velocity would rise by only a nanometre at a deceleration of
+# 5 m/s2.
 MIN_STRIKE_VELOCITY = 1e-4
 
 

@@ -48,7 +48,8 @@ BAND_RATIO = 2.0
 class ElasticSphereKeys(LinearKeys):
     """Keys of the elasticity of a sphere.
 
-    The keys are the entries of the key ``elastic`` of the sphere.
+    The key ``elastic`` of a sphere is a table that contains the keys ``damping``, ``mesh`` and
+    ``rom``.
     """
 
     of: str = Field(
@@ -186,9 +187,9 @@ elastic = true
     def weights(self, part: Part[ElasticSphereKeys], scene: DeclaredScene) -> StepWeights:
         """Return the weights of the body's modes in the simulator's time step control.
 
-        With these weights, time steps do not resolve the ringing in free flight. Resolution of the
-        sphere's ringing in free flight would require eight times as many time steps at a damping
-        ratio of 0.01 %.
+        The weights ``COARSE_WEIGHTS`` permit long time steps, which do not resolve the sphere's
+        ringing in free flight. Resolution of the sphere's ringing in free flight would require
+        eight times as many time steps at a damping ratio of 0.01 %.
         """
         return COARSE_WEIGHTS
 

@@ -180,8 +180,8 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
     def initial_motion(self, part: Part[MassKeys], build: BuiltScene) -> tuple[float, float] | None:
         """Return position [m] and velocity [m/s] at t = 0.
 
-        Return None for a start in equilibrium. If several masses are fixed to each other, the first
-        mass determines the initial state.
+        Return None if the run starts from an equilibrium. If several masses are fixed to each
+        other, the first mass determines the initial state.
 
         Raises
         ------
@@ -225,8 +225,8 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
     def checks(self, part: Part[MassKeys], build: BuiltScene, waves: Waveforms) -> Iterator[Any]:
         """Return no checks, because the energy of a mass near rest is too small to check.
 
-        The energy balance is not checked. The energy of a mass near rest is smaller than the errors
-        of the time steps.
+        The energy of a mass near rest is smaller than the errors of the time steps, so the energy
+        balance is not checked.
         """
         return iter(())
 

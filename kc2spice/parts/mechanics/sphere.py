@@ -249,7 +249,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
     def governed_parts(
         self, part: Part[SphereKeys], scene: DeclaredScene
     ) -> Mapping[str, InitialState]:
-        """Return the governed part: the sphere, with its initial velocity and height.
+        """Return the sphere, with its velocity and height at t = 0.
 
         The mapping is empty if velocity and height are zero.
         """
@@ -358,7 +358,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
     def figures(
         self, part: Part[SphereKeys], build: BuiltScene, waves: Waveforms
     ) -> Iterator[Figure]:
-        """Yield the figures of the part for the report."""
+        """Yield the diagrams of the part for the report."""
         y = waves.data.get(f"{part.name}.y")
         if y is None or "time" not in waves:
             return
@@ -381,7 +381,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
     ) -> tuple[float, float] | None:
         """Return position [m] and velocity [m/s] at t = 0.
 
-        Return None for a start in equilibrium.
+        Return None if the run starts from an equilibrium.
         """
         n, scene, states = part.name, build.scene, build.scene.initial_states
         if not states and (scene.list_joined_pins(n, "v") or scene.list_joined_pins(n, "bottom")):
@@ -425,7 +425,7 @@ def find_sphere(part: Part, scene: DeclaredScene) -> Part[SphereKeys]:
 
 
 def make_sphere_material(part: Part[SphereKeys]) -> Material:
-    """Make the material of the sphere, by default steel, with the key ``density``."""
+    """Return a sphere's material, by default steel, with the sphere's ``density``."""
     return replace(_load_material(part.keys.material or "steel"), density=part.keys.density)
 
 
@@ -457,20 +457,20 @@ def _has_prescribed_motion(part: Part[SphereKeys], scene: GovernedScene) -> bool
 
 
 def find_height_offset(part: Part, pin: str, scene: WiredScene) -> float:
-    """Return the height [m] of a sphere's centre at which its coordinate is zero.
+    """Return the height [m] of a sphere's centre above its lowest point: the radius.
 
-    In the equations, the coordinate is the unknown height of the sphere. The sphere is connected to
-    ``pin``. Without a sphere, the height is 0.
+    The unknown of the equations is the height of the sphere's lowest point. The sphere is connected
+    to ``pin``. If no sphere is connected to ``pin``, the result is 0.
     """
     ball = _find_sphere_at(part, pin, scene)
     return 0.0 if ball is None else float(ball.keys.radius)
 
 
 def find_initial_height(part: Part, pin: str, scene: WiredScene) -> float | None:
-    """Return the initial height [m] of the centre of a sphere connected to ``pin``.
+    """Return the height [m] of a sphere's centre above the surface below it at t = 0.
 
-    The initial height at t = 0 is measured from the surface on which the sphere rests. Return None
-    if no sphere is connected to the pin, or if an operating point determines the height.
+    The surface below the sphere is not deformed. The sphere is connected to ``pin``. Return None if
+    no sphere is connected to the pin, or if an operating point determines the height.
     """
     ball, states = _find_sphere_at(part, pin, scene), scene.initial_states
     if ball is None or not states:

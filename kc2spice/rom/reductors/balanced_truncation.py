@@ -104,8 +104,8 @@ def _compute_gramian_roots(
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Compute square roots of the controllability and observability Gramians.
 
-    Outputs are divided by ``rows``, and inputs by ``columns``. Return None if the model is not
-    strictly stable.
+    Each row of C is divided by its entry of ``rows``, and each column of B by its entry of
+    ``columns``. Return None if the model is not strictly stable.
     """
     A = -model.coefficients[0]
     if np.linalg.eigvals(A).real.max() > -MIN_DECAY:

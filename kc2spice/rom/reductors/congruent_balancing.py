@@ -69,7 +69,7 @@ class CongruentBalancing(Reductor):
         core = task.pencil_without_rigid_modes
         try:
             rates, X = scipy.linalg.eigh(*core.coefficients)
-        except scipy.linalg.LinAlgError:  # E is singular if unknowns have no capacity
+        except scipy.linalg.LinAlgError:  # E is singular: some unknowns store no energy
             return None
         if rates[0] <= MIN_DECAY * task.band[1]:
             return None

@@ -35,8 +35,9 @@ BLOCKS_AT_SHIFT = 3
 # Usual number of blocks for solids with several modes in the band.
 # The first estimate of the remaining time assumes USUAL_BLOCKS blocks.
 USUAL_BLOCKS = 14
-# Smallest ratio (response change due to the previous block) / (response change due to the last).
-# Below this ratio of response changes, the next block is computed at a new expansion point.
+# A response change is the largest relative change of the response due to one Krylov block.
+# Convergence is slow if (previous response change) / (last response change) < MIN_REDUCTION.
+# After slow convergence, the next Krylov block is computed at a new expansion point.
 MIN_REDUCTION = 3.0
 # smallest distance of two expansion points, relative to the upper band limit
 MIN_POINT_DISTANCE = 1e-3
@@ -51,9 +52,9 @@ def reduce_definite_model(
 ) -> IntermediateModel:
     """Reduce a definite model to an error of at most ``target`` over ``band`` [Hz].
 
-    If rounding errors prevent an error of ``target``, the error is at most ``limit``. The error
-    estimate is the change of the response by the last block. The estimates of the last two blocks
-    must be at most ``target``.
+    If rounding errors keep the error above ``target``, an error of at most ``limit`` is accepted.
+    The error estimate is the change of the response by the last block. The estimates of the last
+    two blocks must be at most ``target``.
 
     For an unsupported ``body``, rigid-body modes are deflated, and a small negative shift replaces
     the expansion point zero.
@@ -88,8 +89,8 @@ def reduce_definite_model(
             basis = V @ coordinates
         response = Response(small)
         response.zero = find_zero_entries(pencil, basis, response, band)
-        # The sampled frequencies beside resonances include the notches of the response.
-        # At a notch, the relative error of the Krylov projection is the last to become small.
+        # Some samples are beside resonances, because notches are often close to resonances.
+        # With more Krylov blocks, the relative error becomes small at notches last.
         frequency = sample_band(response, band, GRID_FREQUENCIES, not small.free, (0.0, 1.0, 4.0))
         s = 2j * np.pi * frequency
         H = response.transfer(s)

@@ -125,10 +125,10 @@ class GreedyBasis:
         return True
 
     def solve(self, s: complex) -> tuple[np.ndarray, ...]:
-        """Solve ``P(s) x = B`` for the pencil P; return x and the derivative ``-x'(s)``.
+        """Solve ``P(s) x = B`` for the pencil P; return x and the derivative ``-dx/ds``.
 
-        If the model is not symmetric or C differs from B', also return ``y = P(s)^-T C'`` and
-        ``-y'(s)``.
+        If the model is not symmetric, or if C differs from ``B^T``, also return ``y = P(s)^-T C^T``
+        and the derivative ``-dy/ds``.
         """
         forward, backward = self.pencil.factorise_polynomial(s)
         self.points += 1

@@ -109,7 +109,9 @@ class ExactSamples:
 def reduce_by_samples(
     full: Pencil, band: tuple[float, float], target: float, limit: float
 ) -> IntermediateModel:
-    """Reduce an ill-conditioned first-order model by exact solutions at samples.
+    """Reduce an ill-conditioned model by exact solutions at sample frequencies.
+
+    The model must be of first order.
 
     Raises
     ------

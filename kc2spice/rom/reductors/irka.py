@@ -74,10 +74,11 @@ class Irka(Reductor):
         )
 
     def basis(self, task: ReductionTask) -> ReducedBasis | None:
-        """Return locally H2-optimal reduced models, or None for an unstable full model.
+        """Return an ``OptimalModels`` object, or None if the full model is unstable.
 
-        ``OptimalModels`` computes the reduced model of an order when its response is first
-        requested. The result is None if the full model is not strictly stable.
+        The object contains one locally H2-optimal reduced model for each order. Each reduced model
+        is computed when the response of this model is first requested. The result is None if the
+        full model is not strictly stable.
         """
         start = BalancedTruncation(scaled=False).basis(task)
         if start is None:

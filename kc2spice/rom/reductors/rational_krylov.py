@@ -122,8 +122,10 @@ def reduce_by_rational_krylov(
 
     If rounding errors make an error of ``target`` unreachable, the function accepts a larger error
     up to ``limit``. At each expansion point after the first, the error is computed before the
-    solution at this point is added to the basis. The errors at the last one or two expansion points
-    determine the error of the result. ``most`` is the largest number of factorisations.
+    solution at this point is added to the basis. The error of the result is the larger error at the
+    last two expansion points. If the last expansion point does not extend the basis, errors that
+    were computed before the last extension are ignored. ``most`` is the largest number of
+    factorisations.
 
     Raises
     ------

@@ -21,10 +21,10 @@ SINGULAR_VALUE_LIMIT = 1e-13
 # limits and factors of the fit of snapshot weights, found by trials
 MAX_SHORTENED_ORDER = 150  # largest order for which weights are fitted
 MAX_TRIALS = 12  # largest number of updates of the weights
-# To replace a basis of n vectors, fewer vectors are chosen from the span of a larger basis.
-# The larger basis has max(3 n, n + MIN_EXTRA_VECTORS) vectors.
+# A basis of n vectors may be replaced by fewer vectors from the span of N vectors.
+# For a basis of n vectors, the number N is max(3 n, n + MIN_EXTRA_VECTORS).
 MIN_EXTRA_VECTORS = 20
-# A basis is not shortened if the error of the larger basis exceeds EXTRA_ERROR_SHARE * tolerance.
+# largest error of the span from which a shorter basis may be chosen, relative to the tolerance
 EXTRA_ERROR_SHARE = 0.5
 # An update multiplies the weight of each frequency by sqrt(error / largest error + MIN_WEIGHT).
 MIN_WEIGHT = 0.05
@@ -192,8 +192,9 @@ def _scale_states(states: np.ndarray, factors: np.ndarray) -> np.ndarray:
 def _compute_energy_basis(pencil: Pencil, omega: float, static: bool) -> np.ndarray:
     """Compute coordinates in which the elastic energy is a sum of squares.
 
-    If the stiffness matrix is not definite, the sum of stiffness and inertia at ``omega`` [rad/s]
-    is used. If this sum is also not definite, the result is the unit matrix. If ``static`` is
+    If the stiffness matrix K is not definite, ``K + omega**2 M`` is used instead, with the mass
+    matrix M and ``omega`` in rad/s. For a first-order model, ``K + omega E`` is used instead. If
+    the matrix with ``omega`` is also not definite, the result is the unit matrix. If ``static`` is
     false, the stiffness matrix counts as singular, even if a Cholesky factor exists due to rounding
     errors.
     """

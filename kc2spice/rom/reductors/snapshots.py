@@ -53,7 +53,7 @@ class SnapshotFrequencies(NamedTuple):
         return np.asarray(2j * np.pi * np.r_[self.inside, self.above])
 
     def weights(self, inside: np.ndarray | float = 1.0, above: float = 1.0) -> np.ndarray:
-        """Return the weight of each snapshot, in the band and above the band.
+        """Return the weights of all snapshots: first in the band, then above the band.
 
         ``inside`` contains the weights of the snapshots in the band. The weights above the band are
         multiplied by ``above``.
@@ -120,7 +120,7 @@ def weight_states(
 def _compute_state_norms(
     x: np.ndarray, H: np.ndarray, complete: np.ndarray, norm: Norm
 ) -> np.ndarray:
-    """Compute the norms that scale the states ``x``, an array (frequencies, inputs).
+    """Return the norms that scale the states ``x``, as array (frequencies, inputs).
 
     H is the response without rigid-body modes, and ``complete`` is the response with rigid-body
     modes. The norms are multiplied by the factor by which rigid-body modes increase the response.

@@ -56,7 +56,7 @@ Number = float | bool | None
 
 @dataclass(frozen=True)
 class SceneInput:
-    """Source of a scene: a built-in name or part number, or TOML text with its files."""
+    """Source of a scene: a built-in scene, a part number, or a TOML text with files."""
 
     name: str
     text: str | None

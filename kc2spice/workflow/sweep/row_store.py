@@ -36,7 +36,8 @@ commit;
 # words in the messages of SQLite about a file that cannot be written
 _WRITE_FAILURES = ("readonly", "unable to open", "is full", "I/O error")
 _OUTCOME_ADAPTER = TypeAdapter(PointResult)
-# suffixes of table formats that kc2spice does not write; every other suffix means CSV or Parquet
+# Suffixes of table formats that kc2spice does not write. Tables with the suffix .parquet are
+# written as Parquet. Tables with any suffix that is not listed here are written as CSV.
 _OTHER_TABLE_FORMATS = (
     ".xlsx", ".xls", ".xlsm", ".ods", ".json", ".html", ".tsv", ".h5", ".hdf5", ".feather", ".pkl",
     ".npy", ".npz", ".mat",

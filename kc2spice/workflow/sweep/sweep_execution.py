@@ -188,10 +188,10 @@ def make_sweep(
 def _name_range_in_errors(
     ranges: Mapping[str, str], at_first_value: bool = False
 ) -> Iterator[None]:
-    """State the range as typed in errors about a value outside of a key's limits.
+    """In errors about values outside of a key's limits, state the user's range.
 
-    ``ranges`` are the ranges by key. With ``at_first_value``, the scene has the first value of each
-    range, which is the mean of a normal distribution.
+    ``ranges`` are the ranges by key. With ``at_first_value``, each swept key has the first value of
+    its range. The first value of a normal distribution is its mean.
     """
     try:
         yield
@@ -210,7 +210,7 @@ def _name_range_in_errors(
 
 
 def _advise_normal_range(words: Sequence[str]) -> str:
-    """Advise a standard deviation of a tenth of the mean, or of the present deviation."""
+    """Advise 1/10 of the typed standard deviation, but at most 1/10 of the mean."""
     mean, deviation = (NUMBER_WITH_UNIT.fullmatch(word) for word in words[:2])
     # the range is parsed before this error
     assert mean is not None
@@ -461,7 +461,7 @@ def run_sweep(
     Parameters
     ----------
     definition : Sweep
-        Points and settings of the sweep, such as :func:`load_named_sweep` returns.
+        Points and settings of the sweep, for example the result of :func:`load_named_sweep`.
     out : Path
         Directory for the files of the sweep.
     workers : callable

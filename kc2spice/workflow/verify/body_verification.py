@@ -182,7 +182,8 @@ def list_netlist_checks(
         )
     if all(port.conservative for port in rom.ports):
         # Leaks of electrical ports make the netlist slightly non-reciprocal.
-        # Charge due to a force flows off through a leak; a voltage across a leak causes no force.
+        # The leak of an electrical port changes the charge due to a force, but it does not change
+        # the force due to a voltage.
         # The limit therefore includes the effect of leaks.
         limit = max(NETLIST_ROUNDING, leaked)
         checks += list_passivity_and_reciprocity_checks(
@@ -215,14 +216,15 @@ def compare_responses(
     The responses H from heat flows q to temperatures T decrease exponentially with the distance
     between ports. If the temperatures ``T_c`` of the ports c are prescribed (``given``), the
     temperatures of all other ports s are ``T_s = (H_ss - H_sc H_cc^-1 H_cs) q_s + H_sc H_cc^-1
-    T_c``. For prescribed temperatures, the function compares the two matrices in the equation of
-    ``T_s``, and the heat flows into the ports c. The error of the matrix ``H_ss - H_sc H_cc^-1
-    H_cs`` is relative to the entries of the matrix. The error of ``H_sc H_cc^-1 T_c`` is relative
-    to the prescribed temperatures ``T_c``. The matrix ``H_cc^-1`` maps prescribed temperatures of
-    the ports c to the heat flows into the ports c. The error of each entry of ``H_cc^-1`` is
-    divided by the magnitude of the entry plus ``stored`` [W/K]. At each frequency, ``stored`` is
-    the heat flow that changes the temperature of the whole body by 1 K. The certificate states the
-    error of the inner temperatures relative to ``stored``.
+    T_c``. For prescribed temperatures, the function compares three matrices: ``H_ss - H_sc H_cc^-1
+    H_cs``, ``H_sc H_cc^-1`` and ``H_cc^-1``. The error of the matrix ``H_ss - H_sc H_cc^-1 H_cs``
+    is relative to the entries of the matrix. The error of ``H_sc H_cc^-1 T_c`` is relative to the
+    prescribed temperatures ``T_c``. The matrix ``H_cc^-1`` maps prescribed temperatures of the
+    ports c to the heat flows into the ports c. The error of each entry of ``H_cc^-1`` is divided by
+    the magnitude of the entry plus ``stored`` [W/K]. At each frequency, ``stored`` is the amplitude
+    of the alternating heat flow that changes the temperature of the whole body with an amplitude of
+    1 K. Errors in the certificate that concern temperatures inside the body are also relative to
+    the heat flow ``stored``.
     """
     if not given:
         return compute_relative_error(response, exact)
@@ -246,10 +248,10 @@ def _convert_to_hybrid_parameters(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Convert thermal responses to use temperatures as inputs at the ports ``given``.
 
-    The first returned matrix contains the responses of the other ports to their heat flows. The
-    second matrix contains the responses of the other ports to the given temperatures. The third
-    matrix, ``H_cc^-1``, maps the temperatures of the ports ``given`` to the heat flows into these
-    ports.
+    The first returned matrix maps the heat flows into the ports that are not in ``given`` to the
+    temperatures of these ports. The second matrix maps the temperatures of the ports ``given`` to
+    the temperatures of all other ports. The third matrix, ``H_cc^-1``, maps the temperatures of the
+    ports ``given`` to the heat flows into these ports.
     """
     others = [k for k in range(H.shape[1]) if k not in given]
     admittance = np.linalg.inv(H[:, given][:, :, given])
@@ -451,7 +453,7 @@ def _list_error_frequencies(rom: LinearModel, band: tuple[float, float]) -> np.n
 
 
 def _select_frequencies(rom: LinearModel, at: np.ndarray, count: int) -> np.ndarray:
-    """Select at most ``count`` frequencies, half of them with the largest responses.
+    """Select at most ``count`` frequencies at which responses are compared.
 
     Half of the result are the frequencies with the largest responses. The other half of the result
     is spread over all frequencies.

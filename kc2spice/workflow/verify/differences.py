@@ -19,7 +19,7 @@ from kc2spice.scene.results import collect_powers
 from kc2spice.scene.scene_classes import BuiltScene
 from kc2spice.workflow.simulation import correct_waves
 
-# smallest reference of a relative error, as a fraction of the largest value
+# Relative errors are computed only for values above this fraction of the largest value.
 MIN_REFERENCE_SHARE = 1e-6
 # largest motion at rest due to rounding errors, as a fraction of the body's size
 REST_MOTION = 1e-9
@@ -67,7 +67,7 @@ def list_gate_checks(
 ) -> tuple[list[Check], float | None]:
     """Compare two solutions; return a check for each error limit in ``gates``.
 
-    The second result is the largest difference in the results whose gate has ``is_main = True``. A
+    The second result is the largest difference among all gates with ``is_main = True``. A
     verification records this difference as the error of the pair of solutions.
 
     ``gates`` contains pairs of a part's name and a gate, which is the error limit of one result. If
@@ -91,7 +91,9 @@ def list_gate_checks(
 
 
 def compute_gate_difference(gate: Gate, ours: Solution, exact: Solution) -> float | None:
-    """Compute the difference of two solutions in the result that ``gate`` limits.
+    """Compute how much the result of a gate differs between two solutions.
+
+    ``gate.result`` is the name of the compared metric or waveform.
 
     A solution can lack the value, such as the launch velocity of a body that is not launched. If
     both solutions lack the value, the result is None. If one solution lacks the value, the result
@@ -113,8 +115,9 @@ def _compute_wave_difference(
 ) -> float:
     """Return the largest waveform difference of two solutions, absolute or relative.
 
-    ``gate`` is the error limit. ``names`` are the compared waves. ``gate.measure`` states whether
-    the difference is absolute or relative, and which value divides a relative difference.
+    ``gate`` is the error limit. ``names`` are the names of the compared waveforms. ``gate.measure``
+    states whether the difference is absolute or relative. ``gate.measure`` also determines the
+    divisor of a relative difference (:class:`kc2spice.scene.checks.Gate`).
     """
     early = exact.scale <= gate.share * exact.scale[-1] if gate.share < 1.0 else slice(None)
     pairs = []
@@ -259,9 +262,9 @@ def list_metric_errors(
 def _find_largest_with_unit(unit: str, waves: Waveforms, units: Mapping[str, str]) -> float:
     """Return the largest value of all waveforms that have a given unit.
 
-    For the unit ``"s"``, the result is the duration of the simulated time range. For a number
-    without a unit, such as a coupling factor, the result is 0, because no wave is a reference for
-    the number.
+    For the unit ``"s"``, the result is the duration of the simulated time range. If ``unit`` is
+    empty, as for a coupling factor, the result is 0, because no waveform is comparable with a
+    number without a unit.
     """
     if not unit:
         return 0.0

@@ -35,8 +35,9 @@ MAX_DIRECT_UNKNOWNS = 3000  # number of unknowns up to which every frequency is 
 def with_full_models(build: BuiltScene, clock: StageTimer) -> BuiltScene | None:
     """Return the built scene with full, not reduced, models; None without full models.
 
-    The result is None if no part has a full model. In a transient, only bodies have full models.
-    The integrator solves the equations of a full model at its ports.
+    The result is None if no part has a full model. In a transient, only bodies have full models. In
+    a transient, the integrator represents each full model by relations between the quantities at
+    the model's ports.
     """
     timed = build.scene.analysis.type == "transient"
     result = {}

@@ -1,13 +1,13 @@
-"""Transient with full models, as a correction of the reduced models' solution.
+"""Transient with full models: reduced-model solution plus a computed correction.
 
 An integrator with equal steps (:mod:`kc2spice.reference.fixed_step_integrator`) solves the scene
 with full and with reduced models. The difference between the integrator's solutions with full and
-with reduced models is the effect of the model reduction. An accurate solution with reduced models,
-plus the effect of the model reduction, is the solution with full models. The time steps cause
-nearly the same error with full and with reduced models, so that most of this error cancels in the
-difference. The integrator computes the difference between full and reduced models again with steps
-twice as long. The change due to the longer steps is an estimate of the error that remains in the
-difference.
+with reduced models is the effect of the model reduction. The solution with full models is the sum
+of two terms: an accurate solution with reduced models, and the effect of the model reduction. The
+time steps cause nearly the same error with full and with reduced models, so that most of this error
+cancels in the difference. The integrator computes the difference between full and reduced models
+again with steps twice as long. The change due to the longer steps is an estimate of the error that
+remains in the difference.
 """
 
 from __future__ import annotations
@@ -53,8 +53,9 @@ REST_MOTIONS = (1e-9, 1e-3)
 class FullSolution:
     """Waveforms of the full models at the times of the reduced models' waveforms.
 
-    The waves cover the time range ``[0, end]``. ``coarse`` are the waves with steps twice as long.
-    ``end`` is the end of the compared time range [s]; None without a transient.
+    The waveforms ``waves`` cover the time range ``[0, end]``. ``coarse`` are the waveforms with
+    steps twice as long. ``end`` is the end of the compared time range [s]; None without a
+    transient.
     """
 
     waves: Waveforms
@@ -127,7 +128,8 @@ def solve_full_differences(
     """Compute differences between full and reduced models, with step sizes h and 2 h.
 
     The first two results are the differences between the solutions of full and reduced models, with
-    the step sizes h and 2 h. The third result is a text that describes the steps.
+    the step sizes h and 2 h. The third result is a text that states the number of unknowns, the
+    time steps and the compared time range.
     """
     bodies = list_port_bodies(network)
     parts = build.scene.parts
@@ -190,8 +192,8 @@ def find_last_rest(
 
     The returned time precedes the first change of a load. Until the returned time, the full and the
     reduced models agree. If no load changes, or if a load changes in the first time step, the
-    result is the time 0 and None. If possible, a load reaches half of its range at most ``span``
-    [s] after the returned time.
+    result is the time 0 and None. If possible, the returned time is at most ``span`` [s] before a
+    load first reaches half of its largest change.
     """
     waves, time = run.waves, run.time
     names = list(chain.from_iterable(map(_list_port_wave_names, bodies)))

@@ -61,9 +61,10 @@ from kc2spice.workflow.verify.law_solution import solve_laws
 # Largest permitted number of unknowns of a mesh with half the element size.
 # The model of a mesh with MAX_FINER_UNKNOWNS unknowns needs seconds and little memory.
 MAX_FINER_UNKNOWNS = 30_000
-# time limit for a finer discretisation, relative to the time that the solution of the laws took
+# The solution with a finer discretisation may take at most TIME_FACTOR times the computing time of
+# the solution with the normal discretisation, plus EXTRA_SECONDS [s].
 TIME_FACTOR = 5.0
-EXTRA_SECONDS = 30.0  # additional time [s] for the solution with a finer discretisation
+EXTRA_SECONDS = 30.0
 
 
 SOLUTION_NAMES = {"ngspice": "netlist, ngspice", "rom": "laws", "fom": "full model"}
@@ -75,7 +76,8 @@ MAX_WAVE_ERROR = 0.05
 # default error limits of analyses without time steps
 STEADY_METRIC_LIMIT = 5e-9
 STEADY_WAVE_LIMIT = 3e-8
-# default error limit of noise, because Boltzmann's constant has seven digits in ngspice
+# The default error limit of noise allows for Boltzmann's constant, which ngspice rounds to seven
+# digits.
 NOISE_LIMIT = 1e-6
 # If a source repeats recorded samples of ngspice, its derivative has an error of about 1e-3.
 # If a source of recorded samples drives a capacitance, its current has an error of about 1e-3.
@@ -156,7 +158,7 @@ def _list_included_subcircuits(flat: FlatCircuit) -> tuple[Subcircuit, ...]:
 
 
 def _with_exported_ports(scene: Scene, libraries: Sequence[Subcircuit]) -> Scene:
-    """Return the scene, in which bodies have the same ports as in exported libraries.
+    """Return a scene whose bodies have the same ports as in exported libraries.
 
     The library of an export has all declared ports of a body, including unconnected ports. If one
     of the ``libraries`` comes from an export, the result has all declared ports of all bodies.
@@ -418,7 +420,7 @@ class _Verification:
     def _may_ring_at_large_steps(self, output: OutputDeviation) -> bool:
         """Return whether an output belongs to a body that may ring at large time steps.
 
-        ``solver.ringing = "coarse"`` permits distorted waves of a body and of its drive.
+        ``solver.ringing = "coarse"`` permits distorted waveforms of a body and of its drive.
         """
         scene, owner = self.build.scene, output.output.partition(".")[0]
         if scene.solver.ringing != "coarse":
@@ -439,10 +441,10 @@ class _Verification:
     def _add_run_checks(self) -> None:
         """Add checks of the ngspice run to the findings.
 
-        The function adds all checks of the ngspice run that can fail the run, and all checks for
-        jumps. The error of a discretisation in a transient is normally checked with a finer
-        solution of the equations. If no solution with a finer discretisation was computed, the
-        discretisation check of the ngspice run is added to the findings instead.
+        The function adds two kinds of checks of the ngspice run: checks whose violation makes the
+        run fail, and checks for jumps. The error of a discretisation in a transient is normally
+        checked with a finer solution of the equations. If no solution with a finer discretisation
+        was computed, the discretisation check of the ngspice run is added to the findings instead.
         """
         unsolved = []
         for check in self.verdict.checks:

@@ -74,7 +74,7 @@ class LTspice(Dialect):
         return f"re({vector})"
 
     def format_node(self, path: list[str]) -> str:
-        """Return a node name whose instance names are written without the prefix X."""
+        """Return a node name such as ``disc:n1``, without the prefix X of instance names."""
         return ":".join([*_strip_instance_letters(path[:-1]), path[-1]])
 
     def format_device(self, trace: Trace) -> str:

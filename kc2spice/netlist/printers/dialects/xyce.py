@@ -17,7 +17,7 @@ from kc2spice.netlist.printers.dialect_registry import register_dialect
 
 LOOP_TIME_STEP = 1e-6  # largest time step [s] if a controller may close a feedback loop
 # Largest ``reltol`` for Xyce.
-# Xyce needs at most MAX_RELTOL, and at most a tenth of the ``reltol`` of ngspice.
+# For Xyce, ``reltol`` is the smaller of MAX_RELTOL and a tenth of the ``reltol`` of ngspice.
 # With a larger ``reltol``, Xyce computes contacts with relative errors above 1e-5.
 MAX_RELTOL = 1e-5
 # Half the width [V] of a switch's transition around its threshold. In Xyce, a switch needs a
@@ -69,8 +69,9 @@ class Xyce(Dialect):
         """Return a dot card with which Xyce has the same results as ngspice.
 
         The card extends a logarithmic frequency range to the first frequency point at or above the
-        stated end, because Xyce would otherwise omit this point. If a controller may close a loop,
-        the card limits the time steps; without this limit, the error of a launch velocity is 5e-4.
+        stated end, because Xyce would otherwise omit this point. If a controller may close a
+        feedback loop, the card limits the time steps. With unlimited time steps, Xyce computed the
+        launch velocity of a sphere with a relative error of 5e-4.
         """
         if card.keyword == ".tran":
             nodes = (
