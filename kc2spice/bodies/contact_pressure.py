@@ -434,7 +434,7 @@ class TransverselyIsotropicSphere:
 
     @property
     def oblate_frequency(self) -> float:
-        """Frequency [Hz] of the lowest mode, which is alternately oblate and prolate.
+        """Frequency [Hz] of the sphere's lowest mode, alternately oblate and prolate.
 
         Poisson's ratio changes the frequency by at most 1 %.
         """

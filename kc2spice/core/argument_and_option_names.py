@@ -40,7 +40,7 @@ def replace_arguments_by_options(error: UsageError, names: Iterable[str]) -> Non
     alone = re.compile(rf"\b(leave out|delete|add|raise|lower|arguments?) ({pattern})\b(?!=)")
 
     def write_option(match: re.Match[str]) -> str:
-        """Return the command-line option for a matched Python argument and its value."""
+        """Write the command-line option that replaces a Python argument in an error text."""
         value = match["item"] or match["value"]
         if match["pair"] is not None:
             value = match["pair"].replace(",", "")
@@ -69,7 +69,7 @@ def replace_options_by_arguments(error: UsageError, overrides: str = "overrides"
     """
 
     def write_argument(match: re.Match[str]) -> str:
-        """Return the Python argument for a matched command-line option and its value.
+        """Write the Python argument that replaces a command-line option in an error text.
 
         If the match is a whole command line, the matched text is returned unchanged.
         """

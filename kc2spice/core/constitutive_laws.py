@@ -161,7 +161,7 @@ class Equations:
 
 @dataclass(frozen=True)
 class MissingEquations:
-    """Missing equations of a part, with the reason that ``verify`` prints."""
+    """Marker for missing equations of a part, with the reason that ``verify`` prints."""
 
     reason: str
 
@@ -208,7 +208,7 @@ class SecondOrderBody:
 
     @property
     def states(self) -> tuple[str, ...]:
-        """Names of the states: the names of ports with an unknown force or heat flow.
+        """Names of the states: one for each port whose force or heat flow is unknown.
 
         The flow is an unknown at heat ports, and at mechanical ports with a nonzero row of D.
         """
@@ -434,7 +434,7 @@ class Device(ABC):
         return None
 
     def find_initial_mode(self, e: np.ndarray) -> Any:
-        """Return the switching state in which the device begins at the given inputs."""
+        """Find the initial mode of a device: its switching state or its static relation."""
         return None
 
     def evaluate_guards(self, e: np.ndarray, mode: Any) -> np.ndarray:
@@ -442,9 +442,10 @@ class Device(ABC):
         return np.empty(0)
 
     def find_next_mode(self, mode: Any, guard: int) -> Any:
-        """Return the next switching state, after a guard function has fallen to zero.
+        """Find the next mode of a device: the switching state into which it switches.
 
-        ``mode`` is the present switching state, and ``guard`` the index of the guard function.
+        ``mode`` is the present switching state. ``guard`` is the index of the guard function that
+        has fallen to zero.
         """
         return mode
 
@@ -615,7 +616,10 @@ class PortBody(Device):
         return self.responses[s]
 
     def find_initial_mode(self, e: np.ndarray) -> Relation:
-        """Return the static relation of the body as the initial ``mode`` of the device."""
+        """Find the initial mode of a device: its switching state or its static relation.
+
+        A body does not switch. Its mode is the static relation between its loads and outputs.
+        """
         return self.static_relation
 
     def evaluate(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:

@@ -86,7 +86,7 @@ class MissingToolError(Kc2spiceError):
 
 
 class GateMissedError(Kc2spiceError):
-    """Error for a result that exceeds its error limit: exit code 4."""
+    """Error for a missed gate: the error of a result exceeds its limit; exit code 4."""
 
     exit_code = 4
 

@@ -43,7 +43,7 @@ class PiecewisePolynomial(EqualByContent):
         return value
 
     def integral(self) -> PiecewisePolynomial:
-        """Return the continuous antiderivative, which is 0 at the first knot."""
+        """Return the integral of the polynomials, continuous and zero at the first knot."""
         power = np.arange(1, self.c.shape[0] + 1)[:, None, None]
         rising = self.c / power
         cells = np.sum(rising * np.diff(self.knots)[:, None] ** power, axis=0)
@@ -172,7 +172,7 @@ class Coenergy:
         return y
 
     def force(self, y: Any, i1: Any, i2: Any) -> np.ndarray:
-        """Compute the magnetic force [N] on the sphere from its height and both currents."""
+        """Compute the magnetic force [N] on a sphere at a height, for two coil currents."""
         slopes = self.coefficient_derivatives[1](self.require_height(y, "catch"))
         return np.asarray((slopes * compute_current_products(i1, i2)).sum(axis=-1))
 
@@ -214,7 +214,7 @@ class MagnetostaticTable(EqualByContent):
     """
 
     def scale_magnets(self, remanence: float, shift: float) -> MagnetostaticTable:
-        """Return the table for magnets with another remanence and another height.
+        """Scale the magnetostatic table to magnets with a changed remanence and height.
 
         The remanence is multiplied by the factor ``remanence``, and the magnets are ``shift`` [m]
         higher. In linear materials, the force between the magnets is proportional to the square of
@@ -308,7 +308,7 @@ class MagnetostaticTable(EqualByContent):
 
 
 def compute_test_forces(table: MagnetostaticTable, currents: np.ndarray) -> np.ndarray:
-    """Compute the forces [N] at all heights of the table for pairs of coil currents.
+    """Compute forces [N] at all heights of a force table for pairs of test currents.
 
     The argument ``currents`` has the shape (m, 2), and the result has the shape (m, n). The curves
     are comparable with Fig. 6 of Schütz et al. (2021).

@@ -13,7 +13,7 @@ T = TypeVar("T")
 
 
 class Workspace:
-    """Store in memory that keeps only the latest result of each kind.
+    """Workspace in memory that stores only the latest result of each kind.
 
     A key identifies the inputs of each result. Several threads may share a workspace. A thread
     never receives a result for another key.

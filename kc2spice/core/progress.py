@@ -70,7 +70,7 @@ def report_remaining_time(seconds: float, step: str) -> None:
 
 
 class StepTimer:
-    """Reporter of the remaining time of steps with known relative durations."""
+    """Timer that reports the remaining time of steps with known relative durations."""
 
     def __init__(self) -> None:
         self._start = time.perf_counter()
@@ -88,7 +88,7 @@ class StepTimer:
 
 
 class ConvergenceTimer:
-    """Reporter of the remaining time of an iteration that converges geometrically.
+    """Timer that reports the remaining time of a geometrically converging iteration.
 
     Parameters
     ----------

@@ -52,7 +52,7 @@ class Network:
         return frozenset(map(attrgetter("name"), self.laws))
 
     def is_fully_driven_by(self, driven: set[str]) -> bool:
-        """Return whether sources drive all nets except ground, and no part is a body.
+        """Return whether sources drive all nets except ground in a network without bodies.
 
         ``driven`` contains the output pins of the sources that drive the nets. The result is also
         false if the network contains a body, or if ``driven`` is empty.

@@ -58,7 +58,7 @@ class ShapeFunction(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Enrichment:
-    """Cubic shape functions of a solid, with the index of each function in the mesh.
+    """Enrichment of a solid's quadratic elements with cubic shape functions.
 
     Attributes
     ----------

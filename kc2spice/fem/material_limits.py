@@ -142,7 +142,7 @@ def reject_implausible_stiffness(largest: float, key: str, values: _Values) -> N
 def reject_excessive_coupling(
     coupled: np.ndarray, eps_T: np.ndarray, key: str, stated_at: str | None
 ) -> None:
-    """Reject piezoelectric constants that contradict the permittivity.
+    """Reject piezoelectric constants with an excessive coupling factor, such as 1.
 
     The matrix ``coupled`` (3, 3) [F/m] is the part ``e C^-1 e'`` of the permittivity ``eps_T`` at
     constant stress. The largest eigenvalue of ``coupled`` relative to ``eps_T`` is the square of

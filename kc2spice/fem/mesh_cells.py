@@ -114,7 +114,7 @@ class CellBlock:
 
 
 def is_product_mesh(blocks: Sequence[CellBlock]) -> bool:
-    """Return whether all elements are quadrilaterals, or all elements are hexahedra."""
+    """Return whether a mesh has only tensor-product elements: quads or hexahedra."""
     return bool(blocks) and all(block.is_tensor_product for block in blocks)
 
 
@@ -284,7 +284,7 @@ def _make_simplex_mesh(
 def _make_product_mesh(
     points: np.ndarray, blocks: Sequence[CellBlock]
 ) -> tuple[Mesh, np.ndarray, np.ndarray]:
-    """Make a mesh of quadrilaterals or hexahedra from blocks of elements."""
+    """Make a mesh of tensor-product elements, which are quadrilaterals or hexahedra."""
     dimension = points.shape[1]
     kind, curved = PRODUCT_MESHES[dimension]
     corners = np.concatenate([block.vertices for block in blocks])

@@ -294,7 +294,7 @@ def _factorise_pair_with_solver(
 
 
 def factorise_quasi_definite(matrix: scipy.sparse.csc_array) -> Factor:
-    """Factorise a large real symmetric matrix that may be quasi-definite.
+    """Factorise a real symmetric matrix, without pivoting if it is quasi-definite.
 
     A matrix is quasi-definite if the rows with a positive diagonal entry form a positive definite
     block, and the other rows form a negative definite block. For a large quasi-definite matrix, a

@@ -27,7 +27,7 @@ _CPU_INFO = Path("/proc/cpuinfo")
 def select_kernels(flags: set[str]) -> str | None:
     """Return the name of the fastest OpenBLAS kernels for a processor's instructions.
 
-    Return None if the processor lacks the instructions for all of the kernels.
+    Return None if the processor supports none of the kernels.
 
     Examples
     --------

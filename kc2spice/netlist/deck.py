@@ -75,7 +75,7 @@ class AnalysisCommand:
 
     @property
     def directive(self) -> Directive:
-        """Statement of the analysis."""
+        """SPICE directive of the analysis, such as ``.tran 1u 1m``."""
         return Directive(f".{self.kind}", self.words)
 
 

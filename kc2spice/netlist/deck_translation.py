@@ -46,7 +46,7 @@ def translate_deck(deck: Deck, dialect: str) -> Deck:
 
 
 def write_dialect_files(deck: Deck, dialect: str) -> dict[str, str]:
-    """Return the texts of a deck's files in a dialect or Verilog-A, keyed by name.
+    """Write a deck's files in a dialect or in Verilog-A as texts, keyed by file name.
 
     A part that cannot be a Verilog-A module, such as a pulse generator, is written only as a SPICE
     library. The file ``verilog-a.txt`` states why such parts cannot be Verilog-A modules. The
@@ -77,9 +77,9 @@ def write_dialect_files(deck: Deck, dialect: str) -> dict[str, str]:
 
 
 def write_symbol_files(deck: Deck, dialect: str = "ngspice") -> dict[str, str]:
-    """Return the texts of the symbol files and their libraries, keyed by file name.
+    """Write the symbol files and their libraries as texts, keyed by file name.
 
-    The caller writes the texts to the disk. A symbol file contains the graphical symbol of a part
+    The caller saves the texts to the disk. A symbol file contains the graphical symbol of a part
     for a schematic editor. An export for ngspice contains a KiCad project of the deck. An export
     for ngspice also contains the part symbols for every other simulator, and the libraries
     ``NAME.DIALECT.lib`` that these symbols use. For another dialect, the files are the symbols for

@@ -464,5 +464,5 @@ def split_terms(expression: str) -> list[tuple[float, str]]:
 
 
 def join_terms(signed: Iterable[tuple[float, str]]) -> str:
-    """Return the text of a sum of signed vectors, the inverse of :func:`split_terms`."""
+    """Join terms, each a sign and a vector name, to a sum such as ``v(a)-v(b)``."""
     return "".join(("-" if sign < 0 else "+") + text for sign, text in signed).removeprefix("+")

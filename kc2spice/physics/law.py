@@ -158,7 +158,7 @@ class DeclaredLaw(Device):
 
     @property
     def states(self) -> tuple[str, ...]:
-        """Names of the states: flows of branches, then the states of the declaration."""
+        """Names of the states: flows of branches, then states that the part declares."""
         return (*list_names(self._through_branches), *self.declaration.states)
 
     @property
@@ -175,7 +175,10 @@ class DeclaredLaw(Device):
 
     @cached_property
     def is_affine(self) -> bool:
-        """Whether the law is affine in each switching state and stores no quantities."""
+        """Whether the law is affine and has no memory, that is, stores no quantities.
+
+        The law must be affine in each switching state.
+        """
         d = self.declaration
         laws = (*d.state_rates.values(), *d.output_trees.values())
         trees = (*map(d.derive_direct_flow, d.acting_branches), *laws)
@@ -244,7 +247,7 @@ class DeclaredLaw(Device):
 
     @cached_property
     def _flow_function(self) -> _Compiled:
-        """Compiled function that returns the outputs of the law and their derivatives."""
+        """Compiled function of flows, state rates and output signals, with derivatives."""
         return self._compile_expressions(self._flow_trees, slopes=True)
 
     @cached_property
@@ -330,10 +333,10 @@ class DeclaredLaw(Device):
         return self._evaluate(self._stored_quantities_function, e, mode)
 
     def find_initial_mode(self, e: np.ndarray) -> tuple[int, ...]:
-        """Find the initial switching state: for each kink, a flag for its active side.
+        """Find the initial mode of the law: for each kink, a flag for its active side.
 
-        The switching state contains 1 for each function with a kink whose argument is positive,
-        otherwise 0.
+        The mode is the switching state of the law. The mode contains 1 for each function with a
+        kink whose argument is positive, otherwise 0.
         """
         flags: tuple[int, ...] = (0,) * len(self._kink_arguments)
         # The flags are computed in order: the argument of a function with a kink can depend on the
@@ -354,7 +357,7 @@ class DeclaredLaw(Device):
         )
 
     def find_next_mode(self, mode: Any, guard: int) -> tuple[int, ...]:
-        """Return the next switching state, after a guard function has fallen to zero.
+        """Find the next mode of a device: the switching state into which it switches.
 
         ``guard`` is the number of the kink whose guard function has fallen to zero. Each flag in
         ``mode`` states the active side of one kink. The result is a copy of ``mode`` in which only

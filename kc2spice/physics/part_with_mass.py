@@ -34,7 +34,7 @@ class DeclaredPartWithMass(DeclaredPart[KeysT]):
         return self.moving_pins[:1]
 
     def equilibrium_conditions(self, part: Part[KeysT], scene: WiredScene) -> EquilibriumConditions:
-        """Return the pin pairs that transmit a steady flow, and the pin that has the mass.
+        """Return the equilibrium conditions: paths of steady flow, and the pin with mass.
 
         The velocity of a pin that has a mass cannot jump.
         """

@@ -162,7 +162,10 @@ def find_band_end(pencil: Pencil, count: int, high: float) -> float:
 
 
 def _compute_all_rates(pencil: Pencil) -> np.ndarray:
-    """Compute the magnitudes of all nonzero eigenvalues with a dense solver."""
+    """Compute all rates of a pencil: the magnitudes of its nonzero eigenvalues.
+
+    The eigenvalues are computed with a dense solver.
+    """
     rest, inertia = map(to_dense, (pencil.coefficients[0], pencil.coefficients[-1]))
     if find_largest_entry(rest) == 0 or find_largest_entry(inertia) == 0:
         return np.empty(0)
@@ -171,7 +174,7 @@ def _compute_all_rates(pencil: Pencil) -> np.ndarray:
 
 
 def _compute_lowest_rates(pencil: Pencil) -> np.ndarray:
-    """Return the smallest magnitudes of the eigenvalues of a pencil.
+    """Compute the lowest rates of a pencil: the smallest eigenvalue magnitudes.
 
     The smallest eigenvalues of the pencil are the reciprocals of the largest eigenvalues of
     ``P(0)^-1`` times the inertia matrix.

@@ -304,7 +304,7 @@ def _replace_by_leads(element: FitElement, others: Elements) -> Iterable[Element
 
 
 def _is_capacitance(element: FitElement) -> bool:
-    """Return whether an element is a capacitance in parallel with the branches."""
+    """Return whether a circuit element has the form ``capacitance``."""
     return element.form == "capacitance"
 
 
@@ -350,7 +350,7 @@ def _fit_peak(samples: AdmittanceSamples, elements: Elements) -> Elements:
 
 
 def _propose_elements(samples: AdmittanceSamples, elements: Elements) -> Iterable[list[FitElement]]:
-    """Propose elements to add; each list contains one form with various start values."""
+    """Propose circuit elements; each list contains start values of one new element."""
     present = {element.form for element in elements}
     forms = [
         form

@@ -11,11 +11,11 @@ from kc2spice.rom.rounding import ZERO_ENTRY_FACTOR
 
 
 def has_definite_form(pencil: Pencil, *, undamped_too: bool = False) -> bool:
-    """Return whether a model has the structure that definite models have.
+    """Return whether a model has definite form: symmetric and proportionally damped.
 
-    A model with this structure, the definite form, is symmetric, collocated, proportionally damped
-    and of second order. If ``undamped_too`` is true, undamped models also have the definite form.
-    The function does not check whether the matrices are positive definite.
+    A model with definite form is also collocated and of second order. If ``undamped_too`` is true,
+    undamped models also have the definite form. The function does not check whether the matrices
+    are positive definite.
     """
     proportional = pencil.rayleigh is not None or (undamped_too and pencil.is_undamped)
     return pencil.degree == 2 and proportional and pencil.is_symmetric and pencil.is_collocated

@@ -117,7 +117,7 @@ class FitElement:
     logs: Logs
 
     def response(self, s: np.ndarray) -> Response:
-        """Return the response of the element, and its derivatives by the parameters.
+        """Return the response of the element and its derivatives with respect to the parameters.
 
         The response is the admittance of a parallel element, or the impedance of a series element
         (lead).
@@ -228,7 +228,7 @@ class AdmittanceSamples:
         return parallel, leads
 
     def response(self, elements: Elements) -> np.ndarray:
-        """Compute the complex admittance (n,) of a sum of elements."""
+        """Compute the response of a circuit of elements: its complex admittance (n,)."""
         parallel, leads = self._sum_elements(elements)
         return np.asarray(parallel / (1 + leads * parallel))
 
@@ -312,7 +312,7 @@ class AdmittanceSamples:
         return ((*positive, *leads) if positive else ()), float(left)
 
     def refine_elements(self, elements: Elements, evaluations: int = TRIAL_EVALUATIONS) -> Elements:
-        """Refine all parameters of the elements by nonlinear least squares.
+        """Refine the parameters of all circuit elements by nonlinear least squares.
 
         The residuals are evaluated at most ``evaluations`` times.
         """

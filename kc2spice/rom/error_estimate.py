@@ -144,7 +144,7 @@ class ErrorEstimator:
 
     @cached_property
     def frequency(self) -> np.ndarray:
-        """Sample frequencies [Hz] where large errors are likely, within the band."""
+        """Frequency samples [Hz] in the band, chosen where large errors are likely."""
         return choose_adaptive_frequencies(self.exact, self.band, self.static, self.norm)
 
     @cached_property
@@ -155,7 +155,7 @@ class ErrorEstimator:
 
     @property
     def min_relative_divisor(self) -> float:
-        """Lower limit of the divisor of errors, as a fraction of the response's peak.
+        """Minimum divisor of absolute errors, relative to the peak of the response.
 
         For a relative error, the absolute error is divided by the magnitude of the response. If the
         magnitude is below the lower limit, the absolute error is divided by the lower limit.

@@ -92,7 +92,7 @@ class FreeBody:
 
     @cached_property
     def _absolute_forces(self) -> tuple[np.ndarray, ...]:
-        """Product ``|P| |V|`` of each system matrix P and the rigid-body modes V.
+        """Absolute forces ``|P| |V|`` of rigid-body modes V, for each system matrix P.
 
         Each entry is the sum of the magnitudes of all terms of one force in ``P V``.
         """
@@ -178,7 +178,7 @@ def _find_rigid_body_modes(pencil: Pencil, factor: Factor, shift: float) -> np.n
 
 
 def _bound_elastic_energy(pencil: Pencil, V: np.ndarray) -> np.ndarray:
-    """Return bounds of errors in the elastic energy ``V'K V`` from rounding of K.
+    """Bound the elastic energy ``V'K V`` that rounding errors of K can cause.
 
     The bounds have the shape (k, k).
     """

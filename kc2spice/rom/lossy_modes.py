@@ -79,7 +79,7 @@ def make_viscous_oscillator(stiffness: float, loss: float) -> Oscillator:
 def fit_relaxing_oscillator(
     s: np.ndarray, stiffness: np.ndarray, weight: np.ndarray, rates: np.ndarray
 ) -> Oscillator:
-    """Fit an oscillator with prescribed relaxation rates to a dynamic stiffness.
+    """Fit a dynamic stiffness by an oscillator whose stiffness relaxes at given rates.
 
     The fit minimises the largest weighted difference between the fitted and the given dynamic
     stiffness.

@@ -88,7 +88,7 @@ def fit_output_matrix(
 
 
 def fit_relaxations(basis: ReducedBasis, order: int, tolerance: float) -> tuple[ReducedBasis, int]:
-    """Lower the order of a model with real poles by a fit of its rates and gains.
+    """Fit relaxations, modes with real poles, to lower the order of a reduced model.
 
     Relaxing models, such as networks of R and C, are always passive. Return a basis with the fitted
     rates and gains, and its order, which is as low as possible. If no fit succeeds, the arguments

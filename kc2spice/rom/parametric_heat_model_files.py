@@ -23,7 +23,7 @@ ARRAY_NAMES = ("powers", "scales", "E", "K", "B")
 
 
 def write_heat_over_ranges(model: HeatOverRanges, directory: Path, name: str) -> list[str]:
-    """Write a heat model over parameter ranges to ``name.npz`` and ``name.json``.
+    """Write a heat model over ranges of parameters to ``name.npz`` and ``name.json``.
 
     ``name.json`` contains the ports, parameters and certificate. Return the file names, the
     ``.npz`` file first.
@@ -35,7 +35,7 @@ def write_heat_over_ranges(model: HeatOverRanges, directory: Path, name: str) ->
 
 
 def read_heat_over_ranges(path: Path | str) -> HeatOverRanges:
-    """Read a heat model over parameter ranges from a ``.npz`` file.
+    """Read a heat model over ranges of parameters from a ``.npz`` file.
 
     The function :func:`write_heat_over_ranges` writes such files.
 

@@ -23,7 +23,7 @@ from kc2spice.rom.range_reduction import ModelOverRanges
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class HeatOverRanges(ModelOverRanges):
-    """Heat model ``E(p) x' + K(p) x = B q``, ``T = B'x`` over ranges of parameters.
+    """Heat model over ranges of parameters: ``E(p) x' + K(p) x = B q``, ``T = B'x``.
 
     ``terms`` are the terms of the reduced matrices E and K. The model has characteristic values,
     such as a thermal resistance, that depend on the parameters. A polynomial of the parameters
@@ -38,7 +38,7 @@ class HeatOverRanges(ModelOverRanges):
 
     @property
     def order(self) -> int:
-        """Number n of unknowns; the model is of first order and has n states."""
+        """Order n of the model: the number of its unknowns, which are also its states."""
         return len(self.B)
 
     @property

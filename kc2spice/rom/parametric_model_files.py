@@ -89,7 +89,10 @@ def read_parametric_model(path: Path | str) -> ModelOverRanges:
 def _build_resonators(
     arrays: dict[str, np.ndarray], record: dict[str, Any], name: str
 ) -> ResonatorsOverRanges:
-    """Check the arrays and the JSON record of a file, and create a model from both."""
+    """Build resonators over parameter ranges from the arrays and record of a file.
+
+    The arrays and the JSON record are checked.
+    """
     from pydantic import TypeAdapter  # imported late: few commands read parametric models
 
     common = parse_range_record(record)

@@ -396,7 +396,7 @@ def _orthonormalise(columns: Sequence[np.ndarray], M: Matrix) -> np.ndarray:
 def _find_damping_parameter(
     full: Full, axis: ParameterAxis, middle: Values, frame: LinearModel
 ) -> DampingParameter | None:
-    """Return the damping parameter of a parameter axis, or None if the axis has none.
+    """Find the damping parameter of an axis along which only the damping varies.
 
     A damping parameter only multiplies the Rayleigh coefficients by powers of the parameter. The
     result is None if the parameter of ``axis`` changes one of the matrices M, K, B and D.

@@ -69,7 +69,7 @@ def make_driven_model(
 
 @dataclass(frozen=True, eq=False)
 class FlowReference:
-    """Reference response of a full heat model with prescribed temperatures.
+    """Reference for heat flows: response of a full model at prescribed temperatures.
 
     Attributes
     ----------
@@ -97,7 +97,7 @@ class FlowReference:
         norm: Norm,
         tolerance: float,
     ) -> FlowReference:
-        """Compute the reference response of a full model with prescribed temperatures."""
+        """Compute the heat-flow reference from a full model at prescribed temperatures."""
         low, high = max(band[0], band[1] / 10**DECADES), band[1]
         frequency = np.r_[[0.0] * (band[0] == 0.0), np.geomspace(low, high, FREQUENCIES)]
         uncertainty = 0.0

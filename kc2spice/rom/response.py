@@ -104,7 +104,7 @@ class Response:
 
     @property
     def is_decoupled(self) -> bool:
-        """Whether the unknowns are decoupled, or so few that decoupling saves no time."""
+        """Whether the unknowns are decoupled, or so few that they need no decoupling."""
         return self.modes is not None or self.core.size <= MIN_UNKNOWNS
 
     def states(self, s: np.ndarray) -> np.ndarray:
@@ -261,7 +261,7 @@ class DirectResponse(Response):
 
 
 def _compute_eigenvectors(pencil: Pencil) -> Modes | None:
-    """Compute decoupled coordinates from eigenvectors of the first-order form.
+    """Compute eigenvectors of the first-order form, which decouple the unknowns.
 
     The eigenvectors of ``P(shift)^-1`` times the inertia matrix are used, which also exist for
     unknowns without inertia. The result is None if the responses in decoupled coordinates differ

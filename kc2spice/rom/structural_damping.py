@@ -192,7 +192,7 @@ def _fit_amplitudes(
 
 
 def add_structural_damping(model: LinearModel, stiffness: RelaxingStiffness) -> LinearModel:
-    """Add structural damping: multiply the stiffness by a frequency-dependent factor.
+    """Add structural damping: give the stiffness a nearly constant loss factor.
 
     Parameters
     ----------

@@ -23,7 +23,7 @@ BALANCING_STEPS = 40  # number of iterations; each iteration halves the logarith
 
 
 def get_min_relative_divisor(norm: str) -> float:
-    """Return the smallest divisor of response errors, relative to the peak response.
+    """Return the minimum divisor of relative errors, as a share of the response peak.
 
     A relative error is an absolute error divided by the magnitude of the response. In the norm
     ``pointwise``, the divisor is at least a small fraction of the response's peak. In all other

@@ -96,9 +96,10 @@ def check_range(
 def check_usual_range(
     where: str, value: float, usual: UsualRange, hint: str | None = None
 ) -> Iterator[UsageError]:
-    """Yield an error, printed as a warning, if a value is outside of its usual range.
+    """Yield a warning if a value is outside of its usual range.
 
-    ``hint`` is the proposed action; by default, another unit is proposed.
+    The yielded exception is printed as a warning. ``hint`` is the proposed action; by default,
+    another unit is proposed.
     """
     if not value or usual.low <= value < usual.high:
         return

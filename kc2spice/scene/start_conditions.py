@@ -146,7 +146,7 @@ def _list_storage_errors(
     scene: Scene,
     conditions: Mapping[str, EquilibriumConditions],
 ) -> Iterator[UsageError]:
-    """List errors about thermal and acoustic nets that have no equilibrium.
+    """List errors about nets whose stored heat or volume has no equilibrium.
 
     In ``op`` and ``dc`` analyses, each net without a path to its reference is an error. In all
     other analyses, a net without a path to its reference is an error only if a constant flow enters
@@ -203,7 +203,7 @@ def _list_velocity_jump_errors(
 
 
 def _map_nets_to_units(scene: Scene) -> dict[str, str]:
-    """Map nets to pin units; include only nets that need a path to a reference."""
+    """Map net names to units of pins, for all nets that need a path to a reference."""
     result = {"0": ""}
     for key, terminal in scene.terminals.items():
         if terminal.needs_path:

@@ -251,7 +251,7 @@ class NgspiceLibrary:
     # -- callbacks of ngspice ------------------------------------------------------------------
 
     def _guard_callback(self, name: str) -> Callable[..., int]:
-        """Return a C callback that calls the method ``name`` of the sampler.
+        """Return a C callback that runs a method of the sampler and catches exceptions.
 
         ``name`` is the name of the method. The callback stores an exception in ``broken``, and has
         no effect after an exception.

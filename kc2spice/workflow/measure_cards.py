@@ -137,8 +137,9 @@ def _list_probe_measures(
 
 
 def _choose_extreme_function(word: str, factor: float) -> str:
-    """Return the ``.meas`` function that finds a minimum, maximum or other extreme.
+    """Choose the ``.meas`` function; a negative factor swaps the extremes MIN and MAX.
 
-    A negative factor exchanges minimum and maximum.
+    For a negative factor, ``MIN`` replaces ``MAX``, ``MAX`` replaces ``MIN``, and ``MIN_AT``
+    replaces ``MAX_AT``. All other functions are returned unchanged.
     """
     return _OPPOSITE_EXTREMES.get(word, word) if factor < 0 else word

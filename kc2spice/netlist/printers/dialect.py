@@ -346,7 +346,7 @@ class Dialect(Printer, ABC):
         return ":".join(path)
 
     def format_device(self, trace: Trace) -> str:
-        """Return the name of the device whose current is a saved vector."""
+        """Return the name in this dialect of a device whose current is saved."""
         return ":".join([*trace.path, *trace.names])
 
     def format_numbers(self, text: str) -> str:

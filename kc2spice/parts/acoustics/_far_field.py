@@ -68,12 +68,12 @@ def compute_travel_time(keys: RadiationKeys, distance: float) -> float:
 def propagate_response(
     keys: RadiationKeys, sound: np.ndarray, frequency: np.ndarray, distance: float, angle: float
 ) -> np.ndarray:
-    """Return a listener's pressure response [Pa], scaled to a distance of 1 m.
+    """Propagate a pressure response to a listener, without the decay with distance.
 
-    The pressure at the listener is multiplied by the factor (``distance`` / 1 m). The ``distance``
-    [m] is measured from the source to the listener, and the ``angle`` [degrees] from the axis of
-    the source. ``sound`` is the on-axis pressure response at 1 m that the netlist computes,
-    including its low pass, an array of shape (frequencies,).
+    The pressure [Pa] at the listener is multiplied by the factor (``distance`` / 1 m). The
+    ``distance`` [m] is measured from the source to the listener, and the ``angle`` [degrees] from
+    the axis of the source. ``sound`` is the on-axis pressure response at 1 m that the netlist
+    computes, including its low pass, an array of shape (frequencies,).
     """
     s = 2j * np.pi * frequency
     travel = np.exp(-s * compute_travel_time(keys, distance)) / compute_low_pass_response(
@@ -85,13 +85,13 @@ def propagate_response(
 def propagate_wave(
     keys: RadiationKeys, sound: np.ndarray, time: np.ndarray, distance: float, angle: float
 ) -> np.ndarray:
-    """Return a listener's pressure waveform [Pa], scaled to a distance of 1 m.
+    """Propagate a pressure waveform to a listener, without the decay with distance.
 
-    The pressure at the listener is multiplied by the factor (``distance`` / 1 m). The ``distance``
-    [m] is measured from the source to the listener, and the ``angle`` [degrees] from the axis of
-    the source. ``sound`` is the waveform of the on-axis pressure at 1 m that the netlist computes,
-    an array of shape (points,). The waveform is zero before its first point. The travel time is
-    reduced by the delay of the low pass.
+    The pressure [Pa] at the listener is multiplied by the factor (``distance`` / 1 m). The
+    ``distance`` [m] is measured from the source to the listener, and the ``angle`` [degrees] from
+    the axis of the source. ``sound`` is the waveform of the on-axis pressure at 1 m that the
+    netlist computes, an array of shape (points,). The waveform is zero before its first point. The
+    travel time is reduced by the delay of the low pass.
     """
     first = compute_travel_time(keys, distance) - compute_low_pass_delay(keys.sound_corner)
     weights, offsets = _sample_delays(compute_edge_lead(keys, angle))

@@ -238,7 +238,11 @@ class StatedValues:
         raise self._make_contradiction_error(key, other)
 
     def _has_implied_value(self, key: str) -> bool:
-        """Return whether some realistic circuit has every stated value except ``key``."""
+        """Return whether the stated values other than ``key`` imply a value of ``key``.
+
+        The implied value must be realistic. The circuit that the other values determine must have
+        all of these values within their tolerances.
+        """
         others = self._drop_value(key)
         logarithms = others._fitted_logarithms
         value = math.exp(others._compute_logarithm(key, logarithms))
@@ -254,11 +258,14 @@ class StatedValues:
         return key.partition("[")[0] in self.suspects
 
     def _is_contradicted_at(self, key: str, x: np.ndarray) -> bool:
-        """Return whether a stated value differs from the value of a circuit."""
+        """Return whether the circuit with the unknowns ``x`` contradicts a stated value.
+
+        ``x`` contains the logarithms of the unknowns.
+        """
         return abs(self._compute_residual(key, x)) > self.get_log_tolerance(key)
 
     def _is_contradicted(self, key: str, shares: Mapping[str, float], x: np.ndarray) -> bool:
-        """Return whether one stated value contradicts all the others together."""
+        """Return whether a stated value is contradicted by all other stated values."""
         implied = sum(share * self._compute_residual(name, x) for name, share in shares.items())
         allowed = sum(abs(share) * self.get_log_tolerance(name) for name, share in shares.items())
         return abs(implied - self._compute_residual(key, x)) > allowed + self.get_log_tolerance(key)

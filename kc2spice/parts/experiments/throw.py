@@ -75,7 +75,7 @@ class Throw(_contact_surfaces.TouchablePart[ThrowKeys]):
     def governed_parts(
         self, part: Part[ThrowKeys], scene: DeclaredScene
     ) -> Mapping[str, InitialState]:
-        """Return the sphere, with the velocity and gap at t = 0 that this part prescribes."""
+        """Return the governed part: the sphere, with its velocity and gap at t = 0."""
         return {find_sphere(part, scene).name: InitialState(part.keys.velocity, part.keys.gap)}
 
     def numerics(self, part: Part[ThrowKeys], scene: WiredScene) -> Iterator[NumericalRequirements]:
@@ -89,7 +89,7 @@ class Throw(_contact_surfaces.TouchablePart[ThrowKeys]):
     def largest_indentations(
         self, part: Part[ThrowKeys], scene: GovernedScene
     ) -> Iterator[_contact_surfaces.LargestIndentation]:
-        """Yield the largest indentation by the impact of the thrown sphere."""
+        """Yield the largest indentation that the thrown sphere causes at each contact."""
         ball, speed = find_sphere(part, scene), _compute_impact_speed(part, scene)
         why, mass = f"impact at {speed:.3g} m/s", ball.keys.mass
         yield from _contact_surfaces.estimate_impact_indentation(ball, mass, scene, speed, why)

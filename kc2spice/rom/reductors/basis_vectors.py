@@ -19,7 +19,7 @@ MAX_CONDITION = 1e3
 
 
 def require_vectors(value: Any, where: str, shape: tuple[int, int | None]) -> np.ndarray:
-    """Check basis vectors, and return them as a real matrix with independent columns.
+    """Require vectors that form a basis, and return them as a real matrix.
 
     Parameters
     ----------

@@ -95,9 +95,9 @@ def compute_krylov_vectors(pencil: Pencil, count: int) -> np.ndarray:
 def make_nested_model(
     pencil: Pencil, order: int, space: BlockArnoldi | None = None
 ) -> IntermediateModel:
-    """Project a model on more than ``order`` Krylov vectors, for error estimates.
+    """Make a larger Krylov model whose basis contains the basis of order ``order``.
 
-    The projection serves as a reference for error estimates. ``space`` is the Krylov subspace of
+    The larger model serves as a reference for error estimates. ``space`` is the Krylov subspace of
     the model, if already known.
     """
     count = order + EXTRA_BLOCKS * pencil.B.shape[1]

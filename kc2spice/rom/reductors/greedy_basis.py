@@ -235,9 +235,9 @@ def _compute_modes(pencil: Pencil) -> np.ndarray:
 
 
 def _find_independent_directions(basis: np.ndarray, new: np.ndarray) -> np.ndarray:
-    """Orthonormalise the columns of ``new`` against ``basis`` and each other.
+    """Find independent directions: orthonormal vectors that ``new`` adds to ``basis``.
 
-    Linearly dependent directions are omitted.
+    Columns of ``new`` that depend linearly on ``basis`` or on earlier columns are omitted.
     """
     result = np.empty((basis.shape[0], 0))
     for column in new.T:

@@ -29,14 +29,14 @@ MAX_START_ERROR = 10.0
 class Irka(Reductor):
     """Iterative rational Krylov algorithm (IRKA): interpolation at mirrored poles.
 
-    A model of order q with poles ``l_i`` and residues ``c_i b_i'`` gives the projection ``V =
-    [(-l_i - A)^-1 B b_i]`` and ``W = [(-l_i - A)^-T C' c_i]``. The iteration begins with a model of
-    balanced truncation. The poles and residues of each projected model define the next projection.
-    The iteration ends when the poles no longer change. The model H_q then meets the first-order
-    conditions for the smallest error in the H2 norm::
+    A model of order q with poles ``l_i`` and residues ``c_i b_i^T`` gives the projection ``V
+    = [(-l_i - A)^-1 B b_i]`` and ``W = [(-l_i - A)^-T C^T c_i]``. The iteration begins with a model
+    of balanced truncation. The poles and residues of each projected model define the next
+    projection. The iteration ends when the poles no longer change. The model H_q then meets the
+    first-order conditions for the smallest error in the H2 norm::
 
-        H(-l_i) b_i = H_q(-l_i) b_i     c_i'H(-l_i) = c_i'H_q(-l_i)
-        c_i'H'(-l_i) b_i = c_i'H_q'(-l_i) b_i
+        H(-l_i) b_i = H_q(-l_i) b_i     c_i^T H(-l_i) = c_i^T H_q(-l_i)
+        c_i^T (dH/ds)(-l_i) b_i = c_i^T (dH_q/ds)(-l_i) b_i
 
     Each order has a separate basis, so a reduction to a tolerance takes longer than a reduction
     with nested bases. The H2 norm includes all frequencies.
@@ -74,11 +74,11 @@ class Irka(Reductor):
         )
 
     def basis(self, task: ReductionTask) -> ReducedBasis | None:
-        """Return an ``OptimalModels`` object, or None if the full model is unstable.
+        """Return the basis with all H2-optimal models, or None if the model is unstable.
 
-        The object contains one locally H2-optimal reduced model for each order. Each reduced model
-        is computed when the response of this model is first requested. The result is None if the
-        full model is not strictly stable.
+        The returned ``OptimalModels`` object contains one locally H2-optimal reduced model for each
+        order. Each reduced model is computed when the response of this model is first requested.
+        The result is None if the full model is not strictly stable.
         """
         start = BalancedTruncation(scaled=False).basis(task)
         if start is None:

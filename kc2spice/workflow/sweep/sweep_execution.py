@@ -210,7 +210,10 @@ def _name_range_in_errors(
 
 
 def _advise_normal_range(words: Sequence[str]) -> str:
-    """Advise 1/10 of the typed standard deviation, but at most 1/10 of the mean."""
+    """Advise a smaller standard deviation for the range ``normal(...)`` of a key.
+
+    The advised value is 1/10 of the typed standard deviation, but at most 1/10 of the mean.
+    """
     mean, deviation = (NUMBER_WITH_UNIT.fullmatch(word) for word in words[:2])
     # the range is parsed before this error
     assert mean is not None
@@ -259,7 +262,7 @@ def list_studies() -> dict[str, Traversable]:
 
 
 def load_named_sweep(name: str, sets: Sequence[str] = (), **asked: Any) -> Sweep:
-    """Load the sweep of a scene or of a study, and add further ranges.
+    """Load the sweep of a named scene or study, and add the ranges in ``sets``.
 
     ``sets`` are strings ``KEY=RANGE`` with ranges that are added to the sweep, or names of TOML
     files with values of keys. A range in ``sets`` replaces the study's range of the same key.

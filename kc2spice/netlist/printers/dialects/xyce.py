@@ -183,7 +183,7 @@ def _list_nodes_with_initial_state(deck: Deck) -> Iterator[str]:
 
 
 def _tighten_reltol(word: str) -> str:
-    """Return an option word; the value of ``reltol`` is reduced for Xyce."""
+    """Return an option word, with a tighter value for Xyce if it sets ``reltol``."""
     name, _, value = word.partition("=")
     if name.lower() != "reltol":
         return word
