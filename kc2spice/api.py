@@ -30,7 +30,7 @@ from kc2spice.netlist.deck import Deck
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.scene.checks import Check
 from kc2spice.scene.load import load_scene
-from kc2spice.scene.parttype import register_part_type as register_part
+from kc2spice.scene.parttype import register_part
 from kc2spice.scene.scene_classes import Scene
 from kc2spice.scene.settings import ProbeKeys
 from kc2spice.sim.ngspice import find_ngspice, run_deck, write_files
@@ -243,9 +243,9 @@ def simulate(deck: Deck, *, timeout: float | None = None) -> Result:
     Parameters
     ----------
     deck : Deck
-        Netlist with its libraries, such as :func:`deck` returns.
+        Netlist with its libraries, for example the result of :func:`deck`.
     timeout : float, optional
-        Largest wall-clock time of ngspice in s. By default, the time is not limited.
+        Largest wall-clock time of ngspice in s. By default, the wall-clock time is not limited.
 
     Returns
     -------
@@ -404,8 +404,8 @@ class Result:
     scene : name of the scene or deck.
     metrics : numbers by name, in the SI unit that ``record["metric_units"]`` states. An unknown
         name in ``metrics``, ``waves`` or ``units`` raises a KeyError that lists similar names.
-    waves : arrays of shape (points,) in SI units, keyed by name, with one value for each point of
-        the ``scale``. The waveforms of an ``ac`` analysis are complex arrays.
+    waves : arrays of shape (points,) in SI units, keyed by name, with one value for each time,
+        frequency or swept value. The waveforms of an ``ac`` analysis are complex arrays.
     units : SI unit of each waveform, keyed by the name of the waveform.
     checks : checks of physical laws, such as conservation of energy, each with ``name``, ``value``,
         ``limit``, ``passed`` and ``advice``.
@@ -437,7 +437,7 @@ class Result:
         ------
         UsageError : the analysis was not a transient.
         """
-        return self._require_scale("time")
+        return self._require_independent_variable("time")
 
     @property
     def frequency(self) -> np.ndarray:
@@ -447,19 +447,20 @@ class Result:
         ------
         UsageError : the analysis was not an ``ac`` analysis.
         """
-        return self._require_scale("frequency")
+        return self._require_independent_variable("frequency")
 
-    def _require_scale(self, scale: str) -> np.ndarray:
-        """Return the independent variable; require that its name is ``scale``."""
-        if self.scale != scale:
+    def _require_independent_variable(self, name: str) -> np.ndarray:
+        """Require that the independent variable is ``name``, and return its values."""
+        if self.scale != name:
             raise UsageError(
-                f"this result is not a function of {scale}",
+                f"this result is not a function of {name}",
                 where=self.scene,
-                got=f"a result over {self.scale}",
-                expected=f"a result over {scale}",
-                hint="print list(result.waves), which lists all waveforms",
+                got=f"a result that is a function of {self.scale}",
+                expected=f"a result that is a function of {name}",
+                hint=f'write result.waves["{self.scale}"], or run an analysis of '
+                f'type "{"transient" if name == "time" else "ac"}"',
             )
-        return self.waves[scale]
+        return self.waves[name]
 
     def plot(self, *names: str) -> Any:
         """Plot the waveforms with the given names, or the figure with the given name.
@@ -736,7 +737,7 @@ def _require_sweep_options(executor: object, workers: object, progress: object) 
         isinstance(workers, (int, np.integer)) and not isinstance(workers, bool) and workers >= 1
     ):
         raise UsageError(
-            "this value is not a number of simulations",
+            "workers is not a valid number of parallel simulations",
             where="workers",
             got=repr(workers),
             expected="a whole number from 1 on, or None for the number of processors",
@@ -760,15 +761,19 @@ def _require_sweep_options(executor: object, workers: object, progress: object) 
         )
 
 
-def _suggest_values(item: object) -> str:
-    """Return advice to write the values of a swept key as a list."""
+def _suggest_value_list(item: object) -> str:
+    """Suggest how to write the values of a swept key as a list or NumPy array."""
+    from kc2spice.core.unit_spelling import find_range_ends
+
     text = item if isinstance(item, str) else ""
     words = text.removeprefix("log:").split(":")
+    if ends := find_range_ends(text):
+        words = [*ends, "5"]
     if len(words) == 3:
         try:
             first, last, count = float(words[0]), float(words[1]), int(words[2])
         except ValueError:
-            return f"write a list of values, such as {words[:2]}"
+            return f"write a list of values, such as {list(map(str.strip, words[:2]))}"
         function = "geomspace" if text.startswith("log:") else "linspace"
         return f"write numpy.{function}({first:g}, {last:g}, {count})"
     values: list[Any] = [word.strip() for word in text.split(",")]
@@ -801,7 +806,7 @@ def _require_lists(values: Mapping[str, Sequence[Any]]) -> None:
                 where=f"values: {key}",
                 got=repr(item)[:120],
                 expected=expected,
-                hint=_suggest_values(item),
+                hint=_suggest_value_list(item),
             )
     if not values or not all(map(len, values.values())):
         raise UsageError(

@@ -34,11 +34,13 @@ NAMES_BY_MODULE = {
         "spread_force"
     ),
     "kc2spice.bodies.stack": "choose_level_spans make_stack make_stack_setup",
-    "kc2spice.bodies.stack_keys": "Cap ChipMesh StackKeys",
+    "kc2spice.bodies.stack_keys": "Cap StackKeys StackMeshKeys",
     "kc2spice.bodies.undamped_models": "compute_undamped_responses",
     "kc2spice.cli": "doctor",
-    "kc2spice.cli.doctor": "_PYTHON_PACKAGES",
+    "kc2spice.cli.doctor": "_PYTHON_PACKAGES InstallationFinding",
+    "kc2spice.cli.doctor_output": "print_findings",
     "kc2spice.cli.main": "EXAMPLES app",
+    "kc2spice.cli.part_type_output": "print_keys",
     "kc2spice.cli.terminal_output": "OutputRecipient print_result",
     "kc2spice.core": "cache constitutive_laws=laws install_commands progress quantities",
     "kc2spice.core.argument_and_option_names": (
@@ -71,7 +73,9 @@ NAMES_BY_MODULE = {
         "BOLTZMANN DEFAULT_TEMPERATURE Ratio RefinementRule Section convert_quantity"
     ),
     "kc2spice.core.schemas": "find_section get_plausible_range",
-    "kc2spice.core.si_prefix_format": "format_quantity format_value_and_limit",
+    "kc2spice.core.si_prefix_format": (
+        "format_percent format_quantity format_value_and_limit remove_unit_words"
+    ),
     "kc2spice.core.sound_level": "SoundLevel",
     "kc2spice.core.spectrum": "find_energy_frequency find_waveform_frequency",
     "kc2spice.core.units": "parse_unit",
@@ -94,12 +98,12 @@ NAMES_BY_MODULE = {
         "evaluate_functions_at_point find_common_faces find_face_nodes"
     ),
     "kc2spice.fem.magnet_field": (
-        "LOWER SPHERE choose_compared_count compute_magnetostatic_table make_field_assembler"
+        "LOWER SPHERE choose_compared_height_count compute_magnetostatic_table make_field_assembler"
     ),
     "kc2spice.fem.magnet_keys": "CatchKeys RingKeys",
     "kc2spice.fem.magnet_rings": (
-        "LoopModel Winding _fit_power_series compare_rings divide_section make_current_loop "
-        "reduce_to_loops"
+        "LoopModel Winding _fit_power_series compare_loops_with_rings divide_section "
+        "make_current_loop reduce_to_loops"
     ),
     "kc2spice.fem.materials": "Material find_material",
     "kc2spice.fem.mesh_cells": "CellBlock make_quadratic_mesh reject_folded_elements",
@@ -146,14 +150,14 @@ NAMES_BY_MODULE = {
     "kc2spice.parts.bodies._body_figures": "OBLIQUE_SHIFT draw_deformed_body draw_modes",
     "kc2spice.parts.bodies._body_model": "describe_reduction_target find_scene_band",
     "kc2spice.parts.bodies._body_ports": "list_inertial_pins",
-    "kc2spice.parts.bodies._face_sound_levels": "find_node_diameter",
+    "kc2spice.parts.bodies._face_sound_levels": "find_nodal_circle_diameter",
     "kc2spice.parts.bodies._heat_keys": "HeatBodyKeys",
     "kc2spice.parts.bodies._linear_body": "LinearBody",
     "kc2spice.parts.bodies._varied_keys": "list_varied_keys read_number_key with_values",
     "kc2spice.parts.bodies.bimorph": "BimorphKeys make_bimorph_blocks",
     "kc2spice.parts.bodies.body": "BodyKeys build_fe_model",
     "kc2spice.parts.bodies.heat_body": "assemble_heat_model",
-    "kc2spice.parts.control.pid": "PidKeys compute_settling_time make_pid_subcircuit",
+    "kc2spice.parts.control.pid": "PidKeys make_pid_subcircuit",
     "kc2spice.parts.electronics._parts_with_netlist_template": (
         "CoilLoad make_key_parameters make_opamp_subcircuit"
     ),
@@ -170,7 +174,7 @@ NAMES_BY_MODULE = {
     "kc2spice.parts.mechanics": "mass",
     "kc2spice.parts.mechanics._contact_surfaces": "ContactPair compute_ring_gaps find_separation",
     "kc2spice.parts.mechanics.mass": "declare_point_mass",
-    "kc2spice.parts.mechanics.sphere": "SphereKeys declare_sphere",
+    "kc2spice.parts.mechanics.sphere": "SphereKeys compute_settling_time declare_sphere",
     "kc2spice.physics": "DeclaredPart branch coils contact law",
     "kc2spice.physics.contact": "ContactForce SPACING_NOTE declare_contact",
     "kc2spice.physics.declaration": "COORDINATES Declaration current displacement measured voltage",
@@ -191,7 +195,9 @@ NAMES_BY_MODULE = {
     "kc2spice.report.matplotlib_figures": "write_pngs",
     "kc2spice.report.html": "PageSection write_page",
     "kc2spice.report.probe_figure": "plot_probes",
-    "kc2spice.report.run_page": "format_operating_point format_results format_summary write_run",
+    "kc2spice.report.run_page": (
+        "format_model_summary format_operating_point format_results format_summary write_run"
+    ),
     "kc2spice.report.sweep_page": "_plot_histogram compute_yields",
     "kc2spice.rom": "pencil stability",
     "kc2spice.rom.band": "choose_natural_band compute_elastic_eigenvalues find_band_end",
@@ -222,7 +228,7 @@ NAMES_BY_MODULE = {
     "kc2spice.rom.parametric_models": (
         "ParameterAxis compute_modal_transfer evaluate_polynomials reduce_over_parameters"
     ),
-    "kc2spice.rom.pencil": "Pencil eliminate_massless",
+    "kc2spice.rom.pencil": "Pencil SchurComplement apply_congruence eliminate_massless",
     "kc2spice.rom.range_reduction": "RangeTask",
     "kc2spice.rom.reduce": "reduce_model",
     "kc2spice.rom.reduced_basis": "ReductionTask",
@@ -247,15 +253,15 @@ NAMES_BY_MODULE = {
     "kc2spice.scene.catalogue": "find_part read_catalogue search_parts",
     "kc2spice.scene.checks": "Check Gate RunEnergyBalance Verdict require_passed",
     "kc2spice.scene.highest_frequency": "find_highest_frequency",
-    "kc2spice.scene.keys": "list_all_keys list_schema_keys",
+    "kc2spice.scene.keys": "KeyDescription list_all_keys list_part_keys list_schema_keys",
     "kc2spice.scene.load": "_make_scene load_scene",
-    "kc2spice.scene.metrics": "compute_metrics",
+    "kc2spice.scene.metrics": "Metrics compute_metrics",
     "kc2spice.scene.scene_classes": (
         "BuiltScene DeclaredScene GovernedScene JoinedScene PartType WiredScene "
         "compute_scene_hash find_flows"
     ),
     "kc2spice.scene.net_formation": "describe_nets",
-    "kc2spice.scene.numerical_settings": "describe_plan find_numerical_settings",
+    "kc2spice.scene.numerical_settings": "describe_analysis describe_plan find_numerical_settings",
     "kc2spice.scene.part_records": "NeglectedEffect SampledSource",
     "kc2spice.scene.part_type_descriptions": "describe_part_types",
     "kc2spice.scene.parttype": "compute_pin_forces find_part_type list_type_names load_part_types",
@@ -273,7 +279,8 @@ NAMES_BY_MODULE = {
     "kc2spice.synthesis.parametric_resonators": "parametric_subcircuit",
     "kc2spice.synthesis.model_to_subcircuit": "subcircuit",
     "kc2spice.workflow": (
-        "bench decks reduction_of_models_from_files=reduce_files settings_refinement simulation"
+        "bench body_fit circuit_fit decks reduction_of_models_from_files=reduce_files "
+        "settings_refinement simulation"
     ),
     "kc2spice.workflow.decks": "make_deck prepare_deck",
     "kc2spice.workflow.export": "export_scene",

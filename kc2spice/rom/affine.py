@@ -71,7 +71,7 @@ class ModelParameter:
 
     @property
     def parameter_axis(self) -> ParameterAxis:
-        """Range of the parameter with the lower end first."""
+        """Axis of the parameter: its name and its range, with the lower end first."""
         return ParameterAxis(self.name, min(self.low, self.high), max(self.low, self.high))
 
 
@@ -97,7 +97,7 @@ class AffineTerm:
         object.__setattr__(self, "matrix", scipy.sparse.csc_array(self.matrix))
 
     def evaluate_term(self, values: Values) -> Matrix:
-        """Return the term for values of the parameters.
+        """Evaluate this term of the sum, factor times matrix, at values of the parameters.
 
         Raises
         ------
@@ -216,7 +216,7 @@ class AffineModel:
 
     @property
     def axes(self) -> tuple[ParameterAxis, ...]:
-        """Ranges of all parameters."""
+        """Axes of all parameters: the name and the range of each parameter."""
         return tuple(item.parameter_axis for item in self.parameters)
 
     @property
@@ -334,7 +334,9 @@ def reduce_affine(
         )
         result = _reduce_heat(task) if heat else reduce_over_ranges(task)
     except np.linalg.LinAlgError:
-        raise _make_indefinite_error(affine, "a value inside of the ranges") from None
+        raise _make_indefinite_error(
+            affine, "a matrix that is not positive definite at parameter values within the ranges"
+        ) from None
     units = {item.name: item.unit for item in affine.parameters}
     descriptions = {item.name: item.description for item in affine.parameters}
     return replace(result, defaults=affine.defaults, units=units, descriptions=descriptions)

@@ -74,7 +74,7 @@ def certify_with_full_order(rom: LinearModel, full: StabilityProof) -> LinearMod
     stable = False if False in both else None if None in both else True
     method = certificate.method
     if not full.stable or full.proof != DEFINITE_EVIDENCE:
-        method += f"; stability of the full model from {full.proof}"
+        method += f"; stability of the full model {full.evidence}"
     passive = certificate.passive and full.passive
     certificate = replace(certificate, method=method, stable=stable, passive=passive)
     return replace(rom, certificate=certificate)
@@ -85,18 +85,24 @@ def _describe_evidence(basis: ReducedBasis, proof: StabilityProof) -> str:
     task = basis.task
     exact, estimator = task.intermediate, task.estimator
     count = exact.pencil.size
-    method = f"{basis.origin}difference to {count} states at resonances, flanks and notches"
+    method = (
+        f"{basis.origin}difference from a model of {count} states at resonances, on their flanks "
+        "and at response minima"
+    )
     if exact.proof:
-        method += f"; {exact.proof}; stability from {proof.proof}"
+        method += f"; {exact.proof}; stability {proof.evidence}"
     method += _describe_zeros(estimator.exact_response_and_scales[1], task.fom)
     if not exact.static or exact.pencil.free:
         method += "; free to move at zero frequency"
         if hidden := exact.hidden:
-            method += f", supports that resonate below {hidden:.1e} Hz being hidden by rounding"
+            method += (
+                f"; a support with a resonance below {hidden:.1e} Hz is not detectable because of "
+                "rounding errors"
+            )
     if estimator.exact.select_visible_resonances(task.band)[1].min(initial=1.0) < MIN_DAMPING_RATIO:
         method += (
-            f"; beside resonances, by {FLANK_DISTANCE:g}, of a damping ratio below "
-            f"{MIN_DAMPING_RATIO:g}"
+            f"; at resonances with a damping ratio below {MIN_DAMPING_RATIO:g}, errors are "
+            f"computed at a relative frequency offset of {FLANK_DISTANCE:g} from the resonance"
         )
     return method
 

@@ -56,7 +56,7 @@ RESONANCE_OFFSETS = (-2.0, -0.5, 0.0, 0.5, 2.0)  # distances from a resonance in
 
 @dataclass(frozen=True)
 class ComplexConstants:
-    """Losses of a body that are given as complex material constants.
+    """Complex material constants of a body, as a loss factor and a loss tangent.
 
     Attributes
     ----------
@@ -210,8 +210,9 @@ def make_complex_constants_model(model: Resonators, losses: ComplexConstants) ->
     )
     error = _compute_largest_error(result, model, losses, electrical, known.band_hz)
     method = (
-        f"{known.method}; complex constants, 1/Q of {losses.loss_factor:g} by {len(chi.rates)} and "
-        f"a loss tangent of {losses.tangent:g} by {used.sum()} relaxations within {error:.1e}"
+        f"{known.method}; complex constants: loss factor 1/Q = {losses.loss_factor:g} approximated "
+        f"by {len(chi.rates)} relaxation terms, loss tangent {losses.tangent:g} by {used.sum()} "
+        f"relaxation terms; relative error of the response {error:.1e}"
     )
     certificate = replace(known, error_estimate=known.error_estimate + error, method=method)
     return replace(result, certificate=certificate)

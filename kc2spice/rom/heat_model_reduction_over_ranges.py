@@ -7,8 +7,8 @@ The matrices of the full models are sums of terms with powers of the parameters 
 
 Therefore, the dependence of the matrices on the parameters remains exact, even for wide ranges. If
 no term has a negative eigenvalue, the model is passive for all values of the parameters. The basis
-V contains the bases of reduced models at a few parameter values. Bases are added at the samples of
-the parameters with the largest errors, until the error is within the tolerance at all samples.
+V contains the bases of reduced models at a few parameter values. Further bases are added at the
+parameter sample with the largest error, until the errors at all samples are within the tolerance.
 Finally, the basis vectors that contribute least to the responses are removed. Source: P. Benner, S.
 Gugercin, K. Willcox, SIAM Review 57 (2015) 483, sections 3.4 and 4.1 (greedy sampling, global
 basis).
@@ -67,10 +67,12 @@ FINAL_SHARE = 0.6
 # safety factor by which the error estimate over the ranges exceeds the largest error at the samples
 SAFETY = 1.5
 SAMPLES = 8  # number of random samples per parameter, without the corners of the ranges
-# number of full models at random parameter values that test the reduced model; one additional full
-# model at a corner of the ranges also tests the reduced model
+# number of full models at random parameter values with which the reduced model is compared; the
+# reduced model is also compared with one full model at a corner of the parameter ranges
 CHECKS = 4
-ROUNDS = 4  # largest number of tests; after a failed test, tested values become samples
+# Largest number of tests of the reduced model. After a failed test, the tested parameter values
+# become samples for the next reduction.
+ROUNDS = 4
 # largest number of parameter values at which reduced models are computed to extend the basis
 MOST_VALUES = 40
 # A basis vector counts as linearly independent if its part that is orthogonal to earlier vectors
@@ -110,7 +112,8 @@ class HeatReduction:
         is :data:`SAFETY` times the largest relative difference from reference models, in the norm
         of the task. The reference models are accurate reduced models at the samples of the ranges.
         In addition, the reduced model is compared with full models at :data:`CHECKS` parameter
-        values and at a corner of the ranges. The reduction does not use the compared full models.
+        values and at a corner of the ranges. The full models of the final comparison are not used
+        for the reduction.
 
         Raises
         ------
@@ -124,9 +127,9 @@ class HeatReduction:
             result, samples = self._reduce(task, flows=False)
         apart = max(item.compute_flow_error(result) for item in samples)
         warnings.warn(
-            f"{result.name}: the error estimate covers only temperatures; heat flows at pins with "
-            f"prescribed temperatures have a relative error of up to {apart:.1g} over the ranges "
-            f"and the band",
+            f"{result.name}: the error estimate covers only temperatures; within the parameter "
+            "ranges and the frequency band, heat flows at pins with prescribed temperatures have a "
+            f"relative error of up to {apart:.1g}",
             stacklevel=3,
         )
         return result
@@ -175,9 +178,9 @@ class HeatReduction:
     ) -> HeatOverRanges:
         """Add a certificate of error and stability, and facts such as mass, to a model.
 
-        ``error`` is the error estimate for the certificate. A property of the body, such as its
-        mass, is a fact of the model. A polynomial of the parameters approximates the logarithm of
-        each fact, such as the mass of the body.
+        ``error`` is the error estimate for the certificate. Facts of a model are properties of the
+        body, such as its mass. A polynomial of the parameters approximates the logarithm of each
+        fact, such as the mass of the body.
         """
         axes = ranges.terms.axes
         semidefinite = all(map(is_semidefinite, (*result.terms.E, *result.terms.K)))
@@ -195,7 +198,7 @@ class HeatReduction:
 
 
 class _FullModelsOverRanges:
-    """Full models over parameter ranges, and requirements on the reduced model."""
+    """Full models over parameter ranges, and the task to reduce these models."""
 
     def __init__(
         self,
@@ -210,7 +213,10 @@ class _FullModelsOverRanges:
         self.isolated = [bool(prescribed) and keeps_all_heat(K) for K in terms.K]
 
     def convert_coordinates(self, x: np.ndarray) -> dict[str, float]:
-        """Return the parameter values at the range coordinates ``x``, keyed by name."""
+        """Return the parameter values, keyed by name, at positions ``x`` in their ranges.
+
+        A position is -1 at the lower end of a range, and 1 at the upper end.
+        """
         pairs = zip(self.terms.axes, x, strict=True)
         return {axis.name: axis.value(float(v)) for axis, v in pairs}
 
@@ -280,9 +286,9 @@ class _ReferenceResponses:
         )
 
     def _compute_static_error(self, ours: SplitHeatModel) -> float:
-        """Return the largest relative error of responses to prescribed temperatures.
+        """Compute a reduced model's largest static error at prescribed temperatures.
 
-        The responses are static.
+        The error is relative to the static response of the full model.
         """
         share = get_min_relative_divisor(self.ranges.task.norm)
         size = float(self.parts.inner.pencil.coefficients[0].diagonal().max())
@@ -371,7 +377,8 @@ class _TemperatureBasis:
     def make_orthonormal_basis(self) -> np.ndarray:
         """Return basis vectors W with ``W'K W = 1``, the most important vector first.
 
-        The array W has the shape (others, directions).
+        The array W has one row for each temperature that is not prescribed, and one column for each
+        basis vector.
 
         First, linearly dependent columns are removed. To find dependent columns, all columns are
         orthogonalised in the inner product of the diagonal of ``G = E + K / s``, where s is the
@@ -394,7 +401,8 @@ class _TemperatureBasis:
     def build_reduced_model(self, W: np.ndarray) -> HeatOverRanges:
         """Return the heat model for parameter ranges, reduced with basis vectors ``W``.
 
-        ``W`` has the shape (others, directions).
+        ``W`` has one row for each temperature that is not prescribed, and one column for each basis
+        vector.
         """
         middle, ranges = self.middle, self.ranges
         n = len(middle.at)

@@ -72,7 +72,7 @@ class FosterNetwork(EqualByContent):
         return np.asarray(self.direct * (time >= 0) + rise)
 
     def to_linear_model(self, port: Port) -> LinearModel:
-        """Make the linear model whose unknowns are the capacities' temperature drops."""
+        """Make the linear model whose unknowns are temperature drops across resistances."""
         return LinearModel(
             E=np.diag(self.time_constant / self.resistance),
             K=np.diag(1 / self.resistance),
@@ -119,7 +119,7 @@ class HeatLadder(EqualByContent):
     direct: float = 0.0
 
     def to_linear_model(self, port: Port) -> LinearModel:
-        """Make the linear model whose unknowns are the resistances' temperature drops."""
+        """Make the linear model whose unknowns are temperature drops across resistances."""
         number = np.arange(len(self.capacity))
         return LinearModel(
             E=np.cumsum(self.capacity)[np.minimum.outer(number, number)],
@@ -167,7 +167,7 @@ def parse_network_form(form: str | None, where: str) -> NetworkForm | None:
         if form.lower() == known:
             return known
     raise UsageError(
-        "this form of a heat network does not exist",
+        "this form of a thermal network does not exist",
         where=where,
         got=repr(form),
         expected=" or ".join(NETWORK_FORMS),

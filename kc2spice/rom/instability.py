@@ -60,7 +60,7 @@ def explain_instability(pencil: Pencil, band: tuple[float, float] | None) -> str
     >>> one, zero = scipy.sparse.eye_array(4, format="csc"), scipy.sparse.csc_array((4, 4))
     >>> B = np.ones((4, 1))
     >>> explain_instability(Pencil((K, zero, one), B, B.T, np.zeros((1, 1))), (0.0, 1.0))
-    'a motion whose stiffness is negative'
+    'a negative eigenvalue of the stiffness matrix'
     """
     if any(isinstance(P, SchurComplement) for P in pencil.coefficients):
         return None
@@ -69,7 +69,7 @@ def explain_instability(pencil: Pencil, band: tuple[float, float] | None) -> str
             # models with potentials or multipliers are indefinite, even if they are stable
             return None
         if _has_negative_stiffness(pencil):
-            return "a motion whose stiffness is negative"
+            return "a negative eigenvalue of the stiffness matrix"
         if pencil.is_undamped or (pencil.rayleigh is not None and min(pencil.rayleigh) >= 0):
             return None  # K is positive semi-definite, so there is no growing pole
     require_memory_for_factors(pencil.assemble_bordered_matrix(1.0, 1.0, 1.0))
@@ -93,7 +93,7 @@ def _has_negative_stiffness(pencil: Pencil) -> bool:
     The result is False if the mass matrix is indefinite.
     """
     K, _, M = pencil.coefficients
-    x = _find_highest_energy(-K)
+    x = _find_highest_energy_vector(-K)
     if x is None:
         return False
     noise = (
@@ -104,8 +104,8 @@ def _has_negative_stiffness(pencil: Pencil) -> bool:
     return bool(x @ (K @ x) < -noise) and is_semidefinite(M)
 
 
-def _find_highest_energy(P: Matrix) -> np.ndarray | None:
-    """Find the vector x of unit weighted norm that maximises the energy ``x'Px``.
+def _find_highest_energy_vector(P: Matrix) -> np.ndarray | None:
+    """Find the vector x of highest energy ``x'Px`` among vectors of weighted norm one.
 
     P is a symmetric matrix. The weighted norm of x is one if ``sum_i w_i x_i^2 = 1``. The weights
     w_i are the row sums of ``|P|``. Return None if the Lanczos method does not converge.

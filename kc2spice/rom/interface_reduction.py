@@ -107,7 +107,7 @@ def reduce_with_prescribed_temperatures(
         if inner_tolerance < SMALLEST_TOLERANCE:
             break
     raise make_inaccuracy_error(
-        "the heat flows into ports of prescribed temperature are not that accurate",
+        "the heat flows into ports of prescribed temperature are too inaccurate",
         f"an error of {error:.1e}",
         tolerance,
         "increase rom.tolerance, or narrow rom.band",

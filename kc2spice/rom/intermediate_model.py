@@ -78,7 +78,7 @@ def make_no_convergence_error(
     """Make the exception for a Krylov method that does not converge."""
     modes = response.select_band_resonances(band)[0].size
     return make_inaccuracy_error(
-        "the reduced model does not settle",
+        "the reduced model does not converge with increasing order",
         f"relative error {error:.1e} with {response.pencil.size} states; the band contains at "
         f"least {modes} resonances",
         limit,

@@ -210,12 +210,12 @@ def _use_full_order(
             floor = rounded
     if error > max(limit, rounded):
         raise make_inaccuracy_error(
-            "the full model itself is not that accurate",
+            "the solution of the full model is too inaccurate",
             f"two direct solutions differ by {error:.1e}",
             limit,
             "increase the tolerance; other units or fewer elements may also help",
         )
-    proof = f"these are all states of the full model, solved to {error:.0e}{note}"
+    proof = f"compared with all states of the full model, solved with an error of {error:.0e}{note}"
     # At this point, only rounding errors of the matrices can cause an error above the limit.
     error = min(error, limit)
     if projected is not None:

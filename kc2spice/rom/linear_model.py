@@ -112,7 +112,7 @@ class Port:
 
     @property
     def has_position(self) -> bool:
-        """Whether the input is a force or a torque, and the output a position."""
+        """Whether the port has a position as output; its input is a force or a torque."""
         return self.domain is not None and self.domain.has_position
 
     @property
@@ -155,7 +155,10 @@ class Certificate:
         return f"{stability}, {'passive' if self.passive else 'passivity not shown'}"
 
     def record(self) -> dict[str, Any]:
-        """Return the certificate in the format of ``result.json`` and ``reduce --json``."""
+        """Convert the certificate of a reduced model to its record in ``result.json``.
+
+        The command ``reduce --json`` prints the same record.
+        """
         result = asdict(self) | {"band_hz": list(self.band_hz)}
         del result["above"]
         if self.above:
@@ -284,7 +287,7 @@ class LinearModel:
 
     @property
     def structural(self) -> bool:
-        """Whether the model has structural damping."""
+        """Whether damping is structural: the model has a loss factor or a loss matrix."""
         return bool(self.loss_factor) or self.loss is not None
 
     @property
@@ -499,7 +502,7 @@ class LinearModel:
             f"<td>{escape(p.flow)}</td></tr>"
             for p in self.ports
         )
-        head = "<tr><th>port</th><th>kind</th><th>1 V is 1</th><th>1 A is 1</th></tr>"
+        head = "<tr><th>port</th><th>kind</th><th>unit of 1 V</th><th>unit of 1 A</th></tr>"
         return f"<p>{escape(repr(self))}</p><table>{head}{rows}</table>"
 
 
@@ -804,8 +807,8 @@ def _reject_mixed_thermal_ports(model: LinearModel) -> None:
         )
 
 
-def _describe_entries(data: np.ndarray) -> str:
-    """Describe the entries of a matrix that are not real, finite numbers."""
+def _describe_invalid_entries(data: np.ndarray) -> str:
+    """Describe the invalid entries of a matrix, which are not real, finite numbers."""
     if data.dtype.kind == "c":
         return "complex numbers"
     return "NaN or infinity" if data.dtype.kind in "fiub" else f"entries of type {data.dtype}"
@@ -863,7 +866,7 @@ def _convert_matrix(matrix: Matrix, letter: str, where: str, *, sparse: bool = T
         raise UsageError(
             f"matrix {letter} contains entries that are not real, finite numbers",
             where=where,
-            got=_describe_entries(data),
+            got=_describe_invalid_entries(data),
             expected="real, finite numbers",
             hint=f"write {letter}.real for the matrix {letter}"
             if data.dtype.kind == "c"

@@ -297,7 +297,8 @@ def make_highest_modes_massless(model: Resonators, tolerance: float | None = Non
         error += estimator.estimate_model_error(massless_response)
         if tolerance is None or error <= tolerance:
             cut = result.omega[result.order - result.massless] / (2 * np.pi)
-            method = f"{certificate.method}; no inertia from {cut:.3g} Hz on, measured"
+            method = f"{certificate.method}; modes at {cut:.3g} Hz and above without inertia, "
+            method += "whose effect is part of the error estimate"
             added_errors = dict(
                 estimate_errors_above_band(model.ports, exact, massless_response, band)
             )
@@ -417,7 +418,7 @@ def integrate_modes(
 
 
 def integrate_roots(roots: np.ndarray, t: np.ndarray, drive: np.ndarray) -> np.ndarray:
-    """Integrate ``x' = a x + r`` from equilibrium for each root a.
+    """Integrate modal states ``x' = a x + r`` over time for all roots (poles) a.
 
     ``drive`` contains the values of r at the times ``t``.
 
@@ -492,8 +493,8 @@ def compute_permittivity_ratio(frequency: np.ndarray, tangent: float) -> np.ndar
     return np.asarray((1j * np.asarray(frequency) / TANGENT_FREQUENCY) ** -m)
 
 
-def compute_clamped_tangent(tangent: float, ratio: float) -> float:
-    """Return the loss tangent of a clamped body from the free body's loss tangent.
+def compute_clamped_loss_tangent(tangent: float, ratio: float) -> float:
+    """Compute the loss tangent of a clamped body from the loss tangent of a free body.
 
     The loss tangents of the free body and of the clamped body are values at 1 kHz.
 
@@ -510,7 +511,7 @@ def compute_clamped_tangent(tangent: float, ratio: float) -> float:
 
     Examples
     --------
-    >>> round(compute_clamped_tangent(0.02, 1.0), 4)
+    >>> round(compute_clamped_loss_tangent(0.02, 1.0), 4)
     0.04
     """
     if not tangent * ratio < 1:  # otherwise the clamped loss angle would be at least 90 degrees
@@ -578,7 +579,7 @@ def add_dielectric_loss(model: Resonators, tangent: float) -> Resonators:
         )
     D = model.D[np.ix_(electrical, electrical)]
     motional = np.sum((model.gain[:, electrical] / model.omega[:, None]) ** 2)
-    clamped_loss = compute_clamped_tangent(tangent, float(motional / np.trace(D)))
+    clamped_loss = compute_clamped_loss_tangent(tangent, float(motional / np.trace(D)))
     amplitude, rates, fit_error = fit_foster_network(
         clamped_loss, known.band_hz, LOSS_ERROR_SHARE * min(tangent, 0.01)
     )
@@ -592,8 +593,8 @@ def add_dielectric_loss(model: Resonators, tangent: float) -> Resonators:
     )
     clamped = model.D.copy()
     clamped[np.ix_(electrical, electrical)] = amplitude[0] * D
-    method = f"{known.method}; a loss tangent of {tangent:g} at 1 kHz by {used.sum()} relaxations "
-    method += f"within {fit_error:.1e} of a constant one"
+    method = f"{known.method}; loss tangent of {tangent:g} at 1 kHz approximated by {used.sum()} "
+    method += f"relaxations, with a relative error of the permittivity of {fit_error:.1e}"
     return replace(
         model,
         omega=np.r_[model.omega, omega],

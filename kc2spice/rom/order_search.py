@@ -94,7 +94,7 @@ def select_fewest_states(
     share = SAVING_RATIO if form and form.proof == DEFINITE_EVIDENCE else 1.0
     other = None
     if signals and not (form and form.passive):
-        other = _select_fewest_states(task, others, tolerance, task.states + 1)
+        other = _select_fewest_states(task, others, tolerance, task.state_count + 1)
     if other and not form:  # without a proof of stability, a congruence has no advantage
         return _replace_origin(other, f"{other[0].origin}; ")
     most = int(other[1] / share) if other else np.inf
@@ -103,16 +103,18 @@ def select_fewest_states(
     )
     if order is None:
         assert other is not None
-        text = f"{other[0].origin}, where a congruence needs more than {most} states; "
+        text = f"{other[0].origin}; a congruence transformation needs more than {most} first-order "
+        text += "states; "
         return _replace_origin(other, text)
     if shorten:
         basis, order = reductor.shorten_basis(basis, order, tolerance)
-        order = find_least_order(basis, tolerance, basis.states(order)) or order
-    states = basis.states(order)
-    if other is None and (signals or basis.states(basis.size) <= MAX_COMPARED_STATES):
+        order = find_least_order(basis, tolerance, basis.count_states(order)) or order
+    states = basis.count_states(order)
+    if other is None and (signals or basis.count_states(basis.size) <= MAX_COMPARED_STATES):
         other = _select_fewest_states(task, others, tolerance, int(np.ceil(share * states)))
     if other and other[1] < states:
-        text = f"{states} first-order states, {other[1]} without keeping the form; "
+        text = f"{states} first-order states by a congruence transformation, "
+        text += f"{other[1]} by an oblique projection; "
         basis = replace(basis, origin=text)
     return basis, order
 
@@ -132,12 +134,12 @@ def _prove_stability(task: ReductionTask) -> StabilityProof | None:
 def _select_fewest_states(
     task: ReductionTask, reductors: Sequence[Reductor], tolerance: float, states: float
 ) -> tuple[ReducedBasis, int] | None:
-    """Find a basis and order within tolerance that need fewer than ``states`` states.
+    """Select a basis, and the fewest states of this basis that meet the tolerance.
 
-    The number of states must be smaller than ``states``; otherwise, the result is None. In the norm
-    *peak*, the basis with the fewest states is used. In the norm *pointwise*, the first acceptable
-    basis is used: by default, it comes from balancing over the band, which represents notches
-    accurately.
+    The number of states must be smaller than ``states``; otherwise, the result is None. If the
+    error is measured in the norm *peak*, the basis that meets the tolerance with the fewest states
+    is selected. In the norm *pointwise*, the first basis that meets the tolerance is selected. By
+    default, this basis comes from balancing over the band, which represents notches accurately.
     """
     best = None
     for reductor in reductors:
@@ -145,7 +147,7 @@ def _select_fewest_states(
         order = find_least_order(basis, tolerance, states) if basis else None
         if basis is None or order is None:
             continue
-        best, states = (replace(basis, origin=reductor.name), order), basis.states(order)
+        best, states = (replace(basis, origin=reductor.name), order), basis.count_states(order)
         if task.norm == "pointwise":
             break
     return best

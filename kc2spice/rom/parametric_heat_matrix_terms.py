@@ -165,12 +165,13 @@ def find_matrix_terms(full: Full, axes: Sequence[ParameterAxis], frame: LinearMo
                 break
         else:
             raise _make_unsupported_parameter_error(
-                axis.name, "its matrices are no sum with this key as a factor"
+                axis.name,
+                "the matrices are not a sum of constant matrices times powers of this key",
             )
     result = interpolate_terms(chosen)
     if len(axes) > 1 and not is_exact(result, CHECKED[: len(axes)]):
         raise _make_unsupported_parameter_error(
-            frame.name, "its matrices are no sum with these keys as factors"
+            frame.name, "the matrices are not a sum of constant matrices times powers of the keys"
         )
     return result
 

@@ -64,5 +64,6 @@ def require_finite_arrays(
         array = arrays[key]
         if array.shape != shape or array.dtype.kind not in "if" or not np.isfinite(array).all():
             raise ValueError(
-                f"the array {key} has the shape {array.shape}, not {shape}, or is not finite"
+                f"the array {key} must contain finite real numbers and have the shape {shape}; "
+                f"its shape is {array.shape}"
             )

@@ -16,7 +16,7 @@ import numpy as np
 import scipy
 
 from kc2spice.core.errors import SimulationError
-from kc2spice.linalg.extended_precision import ExactMatrix
+from kc2spice.linalg.extended_precision import ExtendedPrecisionMatrix
 from kc2spice.linalg.factor import (
     QUASI_DEFINITE_UNKNOWNS,
     Factor,
@@ -44,7 +44,7 @@ class SharedValue(Generic[T]):
 
     @property
     def value_or_none(self) -> T | None:
-        """Value that several models share, or None if the value is not yet computed."""
+        """Value that several objects share, or None before the value is computed."""
         return self._values[0] if self._values else None
 
     def get(self, compute: Callable[[], T]) -> T:
@@ -95,7 +95,7 @@ class SchurComplement:
 
     @property
     def inner_factor(self) -> Factor:
-        """Factorisation of the block ``pp`` of the inner (eliminated) unknowns.
+        """Factor of the inner matrix block, the block of the eliminated unknowns.
 
         The factorisation is computed at the first use.
         """
@@ -151,9 +151,10 @@ class SchurComplement:
         return self._replace_blocks(alpha * M + beta * self.uu, beta * self.up, self.pu)
 
     def _replace_blocks(self, uu: Matrix, up: Matrix, pu: Matrix) -> SchurComplement:
-        """Return a Schur complement with new blocks uu, up and pu; keep the block pp.
+        """Replace all blocks of the matrix except the block of eliminated unknowns.
 
-        The block ``pp`` belongs to the eliminated unknowns.
+        Return a new Schur complement of ``uu``, ``up``, ``pu`` and the old block ``pp`` of the
+        eliminated unknowns.
         """
         return SchurComplement(uu, up, pu, self.pp, self.factor)
 
@@ -231,7 +232,7 @@ def apply_congruence(P: Matrix, V: np.ndarray, known: bool = False) -> np.ndarra
     """
     if known or isinstance(P, SchurComplement):
         R = V.T @ (P @ V)
-        return np.asarray(0.5 * (R + R.T) if known or P.symmetric else R)
+        return np.asarray(0.5 * (R + R.T) if known or P.is_symmetric else R)
     total = np.zeros((V.shape[1],) * 2)
     for sign in (1, -1):
         part = 0.5 * (P + sign * P.T)
@@ -451,22 +452,26 @@ class Pencil:
         B = V.T @ self.B
         return Pencil(reduced, B, B.T.copy() if self.is_collocated else self.C @ V, self.D)
 
-    def project_exactly(self, V: np.ndarray) -> Pencil:
-        """Return the projection of a dense pencil on the basis V, computed with 19 digits.
+    def project_in_extended_precision(self, V: np.ndarray) -> Pencil:
+        """Project a dense pencil on the basis V in extended precision, with 19 digits.
 
         The stiffness of soft motions is a small difference of large entries of K. A precision of 16
         digits does not resolve the difference.
         """
-        left, reduced = ExactMatrix(V.T), []
+        left, reduced = ExtendedPrecisionMatrix(V.T), []
         for P in self.coefficients:
-            R = np.asarray(left @ (ExactMatrix(P) @ V), dtype=float)
+            R = np.asarray(left @ (ExtendedPrecisionMatrix(P) @ V), dtype=float)
             if self.is_symmetric:
                 R = 0.5 * (R + R.T)
             elif np.array_equal(P, -P.T):
                 R = 0.5 * (R - R.T)
             reduced.append(R)
         B = np.asarray(left @ self.B, dtype=float)
-        C = B.T.copy() if self.is_collocated else np.asarray(ExactMatrix(self.C) @ V, dtype=float)
+        C = (
+            B.T.copy()
+            if self.is_collocated
+            else np.asarray(ExtendedPrecisionMatrix(self.C) @ V, dtype=float)
+        )
         return Pencil(tuple(reduced), B, C, self.D)
 
     def truncate_to_order(self, order: int) -> Pencil:
@@ -479,7 +484,10 @@ class Pencil:
         return self._select_unknowns(slice(self.free, None), 0)
 
     def _select_unknowns(self, q: slice, free: int) -> Pencil:
-        """Return the pencil of unknowns ``q``; the first ``free`` are rigid-body modes."""
+        """Select the rows and columns of the unknowns ``q`` from all matrices of a pencil.
+
+        The first ``free`` selected unknowns are rigid-body modes.
+        """
         parts = tuple(P[q, q] for P in self.coefficients)
         return Pencil(parts, self.B[q], self.C[:, q], self.D, free=free)
 

@@ -69,7 +69,7 @@ class ModelOverRanges(ABC):
 
 
 def record_model_values(full: Full) -> tuple[Full, list[tuple[Values, Mapping[str, float]]]]:
-    """Wrap ``full`` to record the parameter values and properties of all its models.
+    """Wrap the model builder ``full`` to record the values of each model it builds.
 
     The first result is the wrapped function. The second result is the list of records. A record
     contains the parameter values and the ``facts`` (such as masses and error estimates) of the
@@ -97,8 +97,8 @@ def certify_over_ranges(
     return Certificate(
         band_hz=task.band,
         error_estimate=error,
-        method=f"over the parameter ranges: difference to {checks} full models that were not used "
-        "for the reduction",
+        method=f"largest difference from {checks} full models at parameter values that the "
+        "reduction did not use",
         stable=proof.stable,
         passive=proof.passive and passive,
         norm=task.norm,

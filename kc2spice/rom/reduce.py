@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from typing import get_args
 
@@ -36,12 +37,13 @@ from kc2spice.rom.minimax_fit import find_lower_order
 from kc2spice.rom.order_search import require_order, select_basis, select_fewest_states
 from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.reduced_basis import ReducedBasis, ReductionTask
-from kc2spice.rom.reductors.base import Reductor, require_basis
+from kc2spice.rom.reductors.base import Reductor, describe_errors_in_method, require_basis
 from kc2spice.rom.reductors.block_krylov import BlockArnoldi, make_nested_model
 from kc2spice.rom.reductors.registry import (
     BLOCK_KRYLOV,
     advise_more_vectors,
     find_reductor,
+    is_built_in,
     list_suited_reductors,
 )
 from kc2spice.rom.stability import StabilityProof, prove_stability
@@ -114,8 +116,8 @@ def reduce_model(
         Divisor of the error of each response entry: the size of the entry at the same frequency
         (pointwise), or the largest size of the entry in the band (peak).
     contact : bool, default False
-        Whether the reduced model has a third more states, which represent the response above the
-        band that contacts excite.
+        Whether the reduced model has a third more states. The additional states represent the
+        response above the band. Contacts excite a body at frequencies above the band.
     method : str or Reductor, optional
         Method of reduction. By default, response POD and the variants of balanced truncation that
         suit the model are tried.
@@ -167,9 +169,10 @@ def reduce_to_target(fom: LinearModel, target: ReductionTarget) -> LinearModel:
 class ReductionTarget:
     """Requirements on a reduced-order model, and the method of reduction.
 
-    If ``keep_form`` is true, only congruences are used. If ``exact`` is true, the intermediate
-    model must be accurate enough for the tolerance. ``space`` is the Krylov subspace at s = 0 from
-    an earlier reduction of the same model, if there is one.
+    If ``keep_form`` is true, only congruences are used. If ``exact`` is true, the error of the
+    intermediate model must be at most ``MAX_INTERMEDIATE_SHARE`` times the tolerance. If ``exact``
+    is false, any error of the intermediate model is accepted. ``space`` is the Krylov subspace at s
+    = 0 from an earlier reduction of the same model, if there is one.
     """
 
     tolerance: float | None
@@ -277,25 +280,27 @@ def find_basis_of_order(
     task: ReductionTask,
     reductors: Sequence[Reductor],
     target: ReductionTarget,
-    bases: dict[str, list[ReducedBasis]] | None = None,
+    bases: dict[int, tuple[Reductor | None, list[ReducedBasis]]] | None = None,
 ) -> tuple[ReducedBasis, int]:
     """Return the basis with the smallest error at ``target.order``, and this order.
 
-    ``bases`` contains bases that are already computed, keyed by the name of the reductor. The
-    function adds new bases to ``bases``.
+    ``bases`` contains prescribed reductors, or None by default, with bases that are already
+    computed. The keys are the ``id`` of the reductors, because two reductors may have the same
+    name. The function adds new bases to ``bases``.
     """
     assert target.order is not None
     bases = {} if bases is None else bases
-    key = find_reductor(target.method).name if target.method is not None else ""
+    reductor = find_reductor(target.method) if target.method is not None else None
+    key = id(reductor)
     if key not in bases:
-        if target.method is not None:
-            bases[key] = [_compute_basis_of_prescribed_method(task, reductors[0])]
+        if reductor is not None:
+            bases[key] = reductor, [_compute_basis_of_prescribed_method(task, reductor)]
         else:
             suited = (item for item in reductors if item.congruence and item.applies_to(task))
             candidates = (item.basis(task) for item in suited)
-            bases[key] = [basis for basis in candidates if basis is not None]
+            bases[key] = None, [basis for basis in candidates if basis is not None]
     prescribed = target.method is not None
-    return select_basis(bases[key], target.order, prescribed=prescribed), target.order
+    return select_basis(bases[key][1], target.order, prescribed=prescribed), target.order
 
 
 def find_smallest_basis(
@@ -331,11 +336,15 @@ def _compute_basis_of_prescribed_method(task: ReductionTask, reductor: Reductor)
     ------
     UsageError : the method does not apply to the model.
     """
-    basis, reason = None, reductor.obstacle(task) or "its applies_to() returns False"
-    if reductor.applies_to(task):
-        reason = reductor.no_basis
-        with name_part_in_errors(f"method {reductor.name!r}"):
-            basis = require_basis(reductor, reductor.basis(task))
+    basis = None
+    # an exception in a built-in method is an error of kc2spice, and remains unchanged
+    described = nullcontext() if is_built_in(reductor) else describe_errors_in_method(reductor)
+    with described:
+        reason = reductor.obstacle(task) or "its applies_to() returns False"
+        if reductor.applies_to(task):
+            reason = reductor.no_basis
+            with name_part_in_errors(f"method {reductor.name!r}"):
+                basis = require_basis(reductor, reductor.basis(task))
     if basis is None:
         raise UsageError(
             f"this reduction method does not apply to the model: {reason}",
@@ -426,7 +435,7 @@ def require_valid_target(target: ReductionTarget) -> None:
             got="neither tolerance nor order"
             if order is None
             else f"tolerance {tolerance}, order {order}",
-            expected="tolerance, the largest relative error, or order, the number of states",
+            expected="tolerance for the largest relative error, or order for the number of states",
             hint="leave out order" if order is not None else "add tolerance=1e-4",
         )
     if tolerance is not None and not MIN_TOLERANCE <= tolerance < 1:

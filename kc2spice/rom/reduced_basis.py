@@ -91,12 +91,12 @@ class ReductionTask:
 
     @property
     def response(self) -> Response:
-        """Frequency response of the intermediate model."""
+        """Frequency response of the model between full and reduced model."""
         return self.intermediate.response
 
     @property
     def pencil_without_rigid_modes(self) -> Pencil:
-        """Matrices of the intermediate model without rigid-body modes.
+        """Pencil without rigid-body modes of the model between full and reduced model.
 
         If damping couples rigid-body modes to other motions, the matrices include the rigid-body
         modes.
@@ -109,12 +109,12 @@ class ReductionTask:
         return self.pencil.is_symmetric and self.pencil.is_collocated
 
     @property
-    def states(self) -> int:
-        """Number of states of the intermediate model, written as a first-order system."""
+    def state_count(self) -> int:
+        """Number of first-order states of the model between full and reduced model."""
         return self.response.pencil.size * self.response.pencil.degree
 
     def get_shared_value(self, name: str, compute: Callable[[], T]) -> T:
-        """Return the shared value ``name``; the first call computes the value.
+        """Get the value ``name`` that several tasks share; compute it at the first call.
 
         Tasks of the same model that differ only in the tolerance share the value.
         """
@@ -147,7 +147,7 @@ class ReductionTask:
 
     @property
     def proof(self) -> StabilityProof:
-        """Proof of stability and passivity of the intermediate model."""
+        """Proof of stability and passivity of the model between full and reduced model."""
         return self.get_shared_value(
             "proof", lambda: prove_stability(self.response.pencil, self.band)
         )
@@ -227,10 +227,11 @@ class ReductionTask:
 
     @cached_property
     def state_to_unknowns(self) -> np.ndarray | None:
-        """Matrix that converts first-order states to unknowns of the intermediate model.
+        """Matrix from states to unknowns of the model between full and reduced model.
 
-        In the first-order equations, time is multiplied by the angular frequency at the end of the
-        band. The matrix is None if the unknowns also depend directly on the input.
+        The states belong to the first-order equations of the intermediate model. In the first-order
+        equations, time is multiplied by the angular frequency at the end of the band. The matrix is
+        None if the unknowns also depend directly on the input.
         """
         pencil, free = (
             self.response.pencil,
@@ -298,7 +299,7 @@ class ReducedBasis:
         """Largest order of a reduced model: the number of basis vectors."""
         return self.pencil.size
 
-    def states(self, order: int) -> int:
+    def count_states(self, order: int) -> int:
         """Count the first-order states of a reduced model with ``order`` unknowns."""
         return order * self.pencil.degree
 
@@ -361,8 +362,11 @@ class ReducedBasis:
         return prove_stability(response.pencil, self.task.band, poles)
 
     @cached_property
-    def preserves_stability(self) -> bool:
-        """Whether reduced models must preserve the stability of the intermediate model."""
+    def requires_stability(self) -> bool:
+        """Whether the reduction basis requires every reduced model to be stable.
+
+        A congruence does not require stability if the model of all basis vectors is unstable.
+        """
         return not self.congruence or self.prove_order_stability(self.size).stable is not False
 
     def is_acceptable(self, order: int, tolerance: float) -> bool:
@@ -375,5 +379,5 @@ class ReducedBasis:
             return False
         stable = self.prove_order_stability(order).stable
         if self.congruence:
-            return stable is not False or not self.preserves_stability
+            return stable is not False or not self.requires_stability
         return bool(stable)

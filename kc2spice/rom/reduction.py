@@ -48,8 +48,9 @@ if TYPE_CHECKING:
     from kc2spice.rom.affine import AffineModel
     from kc2spice.rom.range_reduction import ModelOverRanges
 
-# Default value of the smallest tolerance for which a Reduction computes an intermediate model.
-# The smallest tolerance 1e-7 would need one or two more solutions of the full model than 1e-6.
+# Default value of the argument `tolerance` of the class Reduction.
+# A Reduction solves the full model again only for tolerances below its argument `tolerance`.
+# A default value of 1e-7 would need one or two more solutions of the full model than 1e-6.
 DEFAULT_MIN_TOLERANCE = 1e-6
 
 
@@ -125,17 +126,29 @@ def reduce(
         (``"pointwise"``), or the largest size of the entry in the band (``"peak"``). The default is
         ``"peak"`` for models whose ports are all signals, and ``"pointwise"`` for all other models.
     contact : bool, default False
-        Whether the reduced model also represents responses above the band, which contacts excite.
-        Bodies of scenes are always reduced with ``contact=True``.
+        Whether the reduced model also represents the response above the band. Contacts excite a
+        body at frequencies above the band. Bodies of scenes are always reduced with
+        ``contact=True``.
     method : str or Reductor, optional
-        Method of reduction: ``"response POD"``, ``"response POD of both sides"``,
-        ``"balanced truncation"``, ``"balanced truncation of outputs as they are"``,
-        ``"balanced truncation over the band"``, ``"balanced truncation by congruence"``,
-        ``"block Krylov"``, ``"rational Krylov"``, ``"IRKA"``, or a method that is registered by
-        :func:`kc2spice.register_reductor`. The method
-        ``"balanced truncation of outputs as they are"`` does not scale inputs and outputs by the
-        peaks of the response. By default, response POD and the variants of balanced truncation that
-        suit the model are tried.
+        Method of reduction: an instance of a reductor class, the name of a method that is
+        registered by :func:`kc2spice.register_reductor`, or the name of a built-in method:
+
+        * ``"response POD"``: principal directions of the response over the band;
+        * ``"response POD of both sides"``: principal directions of the responses of the model and
+          of its dual model;
+        * ``"balanced truncation"``: balanced states, after inputs and outputs are scaled by the
+          peaks of the response;
+        * ``"unscaled balanced truncation"``: balanced states, without scaling of inputs and
+          outputs;
+        * ``"frequency-limited balanced truncation"``: balanced states for frequencies in the band
+          only;
+        * ``"balanced truncation by congruence"``: balanced states of a symmetric first-order model;
+        * ``"block Krylov"``: Krylov vectors with the expansion point at zero frequency;
+        * ``"rational Krylov"``: responses and their derivatives at several frequencies;
+        * ``"IRKA"``: local optimum in the H2 norm.
+
+        By default, response POD and the variants of balanced truncation that suit the model are
+        tried.
     parameters : mapping, optional
         Leave this argument out; any entry raises a UsageError, which explains where to state
         parameters. The parameters of a model are stated in a :class:`kc2spice.AffineModel`, or in
@@ -245,7 +258,7 @@ def _reject_unused_options(**options: object) -> None:
 
 
 class Reduction:
-    """Reduction of a full-order model to any number of tolerances or orders.
+    """Repeated reduction of one full-order model, for different tolerances or orders.
 
     The full-order model is factorised and solved only once. The solutions of the full-order model
     are reused for every reduction whose tolerance is at least the argument ``tolerance``. If
@@ -330,7 +343,7 @@ class Reduction:
         self.model, self.norm = model, self._target.norm
         self._pencil = eliminate_algebraic_unknowns(model.pencil)
         self.band = choose_band(model, self._pencil, parse_band(band))
-        self._bases: dict[str, list[ReducedBasis]] = {}
+        self._bases: dict[int, tuple[Reductor | None, list[ReducedBasis]]] = {}
         self._solver = solver
         self._compute_intermediate(self._target)
 
@@ -355,7 +368,7 @@ class Reduction:
 
     @property
     def basis(self) -> np.ndarray | None:
-        """Basis vectors (n, k) of the intermediate model in full-order unknowns.
+        """Basis vectors (n, k) of the first reduction step, in unknowns of the full model.
 
         The basis is None if constraints or massless unknowns were eliminated from the full model.
         """
@@ -384,7 +397,8 @@ class Reduction:
             raise UsageError(
                 "this model has no Hankel singular values",
                 where=self.model.name,
-                expected="a model whose poles all decay, with a static response",
+                expected="a model with all poles in the left half-plane, and with a finite "
+                "response at 0 Hz",
             )
         return singular_values
 
@@ -404,9 +418,10 @@ class Reduction:
         order : int, optional
             Number of unknowns of the reduced model. Exactly one of ``tolerance`` and ``order`` is
             required. If ``order`` is given, this method compares all congruences, but
-            :func:`kc2spice.reduce` uses only block Arnoldi for definite models. A reduction to a
-            ``tolerance`` improves the basis. It may therefore be more accurate than a reduction to
-            a prescribed ``order`` with the same number of unknowns.
+            :func:`kc2spice.reduce` uses only block Arnoldi for definite models. If ``tolerance`` is
+            given, the basis is also optimised, so that fewer unknowns suffice. With the same number
+            of unknowns, a reduced model for a ``tolerance`` may therefore be more accurate than a
+            reduced model for an ``order``.
         method : str or Reductor, optional
             Method for the returned model, by default the method of the object.
 

@@ -269,7 +269,7 @@ def interpolate_model_facts(
     exponents: np.ndarray,
     known: Sequence[tuple[Values, Mapping[str, float]]],
 ) -> dict[str, np.ndarray]:
-    """Fit polynomials in the parameters to numbers such as the mass of a full model.
+    """Interpolate facts of full models, such as the mass, by fitted polynomials.
 
     The number of full models limits the degree of the polynomials. The attribute ``facts`` of each
     full model contains the numbers to which polynomials are fitted. The result contains
@@ -329,7 +329,7 @@ def make_resonators(
                 best = min(best, max(error, exact))
                 if error <= tolerance:
                     return result, error
-    problem = "the ranges of the parameters are too wide for polynomials of the modes"
+    problem = "the parameter ranges are too wide for a polynomial approximation of the modes"
     raise make_range_error(problem, dense_model.frame.name, f"an error of {best:.2g}", tolerance)
 
 
@@ -443,7 +443,7 @@ class _ModesOverRanges:
         return bool((largest > RIGID_ROUNDING * share.max(axis=0)).any())
 
     def _isolate_elastic_modes(self, p: _DenseModes) -> _DenseModes:
-        """Remove the rigid-body modes, or give these modes a soft support."""
+        """Isolate elastic modes: remove rigid-body modes, or support these modes softly."""
         if self.moved:
             soft = np.full(self.free, (2 * np.pi * self.soft_support_frequency) ** 2)
             w2 = np.concatenate([soft, p.w2[self.free :]])
@@ -492,7 +492,7 @@ class _ReducedSpace:
         return np.r_[p.w2[:k], ritz], np.hstack([p.V[:, :k], p.V[:, k:] @ (W @ Q)])
 
     def project_model(self, x: np.ndarray) -> LinearModel:
-        """Return the projection of the model on the subspace at coordinates ``x``."""
+        """Project the model at normalised parameter values ``x`` on the reduced subspace."""
         p = self.modes.compute_elastic_modes(x)
         w2, Z = self._compute_ritz_modes(p)
         B = Z.T @ p.model.B

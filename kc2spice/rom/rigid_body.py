@@ -15,7 +15,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 import scipy
 
-from kc2spice.linalg.extended_precision import ExactMatrix
+from kc2spice.linalg.extended_precision import ExtendedPrecisionMatrix
 from kc2spice.rom.pencil import (
     Matrix,
     Pencil,
@@ -170,7 +170,9 @@ def _select_zero_energy_motions(
     """
     if not X.size or not is_symmetric(K):
         return X
-    energy = np.asarray(ExactMatrix(X.T) @ (ExactMatrix(K) @ X), dtype=float)
+    energy = np.asarray(
+        ExtendedPrecisionMatrix(X.T) @ (ExtendedPrecisionMatrix(K) @ X), dtype=float
+    )
     rotation, size, _ = np.linalg.svd(energy)
     X = X @ rotation
     noise = (
@@ -271,7 +273,7 @@ def project_with_rigid_body(
     In the first result, entries of ``V'PV`` that are only rounding errors are set to zero. The
     second result is ``V'PV`` with all entries as computed, including rounding errors.
     """
-    result, parts = pencil.project_exactly(V), []
+    result, parts = pencil.project_in_extended_precision(V), []
     for P, noise in zip(result.coefficients, rounding or _bound_rounding(pencil), strict=True):
         zero = np.abs(P) <= np.abs(V).T @ (noise @ np.abs(V))
         zero[free:, free:] = False

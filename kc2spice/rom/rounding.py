@@ -140,7 +140,7 @@ def describe_uncertainty(at: np.ndarray, size: np.ndarray, tolerance: float) -> 
             f"rounding errors",
             stacklevel=2,
         )
-    return f", and rounding of its matrices {effect}" if size[worst] > STATED_UNCERTAINTY else ""
+    return f"; rounding of the matrix entries {effect}" if size[worst] > STATED_UNCERTAINTY else ""
 
 
 def estimate_removed_stiffness(projected: Pencil, free: Pencil, band: tuple[float, float]) -> float:
@@ -162,7 +162,7 @@ def add_rounding_floor(
     model: IntermediateModel,
     target: float,
 ) -> IntermediateModel:
-    """Return the intermediate model with its response error due to rounding.
+    """Add the rounding floor, an estimate of the error due to rounding, to a model.
 
     The attribute ``floor`` of the returned model estimates the relative error of the response due
     to rounding errors. A change of the units of the unknowns changes the rounding errors of the
@@ -193,5 +193,5 @@ def add_rounding_floor(
         largest_change = max(largest_change, TRIAL_FACTOR * float(size.max()))
         if largest_change < NEGLIGIBLE_SHARE * target:
             break
-    proof = f"{model.proof}, and rounding changes it by {largest_change:.0e}"
+    proof = f"{model.proof}, and rounding changes the response by {largest_change:.0e}"
     return replace(model, floor=max(model.floor, largest_change), proof=proof)

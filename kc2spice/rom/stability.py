@@ -38,12 +38,18 @@ class StabilityProof:
     If ``stable`` is true, no pole is in the right half-plane, so that no motion grows
     exponentially. Even if ``stable`` is true, the displacement of a free rigid body may increase
     linearly. ``stable`` is None if the stability is unknown. If ``passive`` is true, the ports are
-    proven to deliver no net energy. ``proof`` describes the evidence for both properties.
+    proven to deliver no net energy. ``proof`` describes the evidence for both properties, or the
+    reason why the stability is unknown.
     """
 
     stable: bool | None
     passive: bool
     proof: str
+
+    @property
+    def evidence(self) -> str:
+        """Evidence of the stability, as text that follows the word "stability"."""
+        return f"unknown: {self.proof}" if self.stable is None else f"from {self.proof}"
 
 
 def prove_stability(
@@ -73,15 +79,13 @@ def prove_stability(
             "unknown; the error estimate is valid",
             stacklevel=2,
         )
-        return StabilityProof(None, False, "nothing: memory does not hold another factor")
+        return StabilityProof(None, False, "not enough memory for another factorisation")
     if dissipates:
         passive = pencil.is_collocated and is_semidefinite(pencil.D + pencil.D.T)
         return StabilityProof(True, passive, DEFINITE_EVIDENCE)
     states = pencil.degree * pencil.size
     if states > MAX_POLE_STATES and poles is None:
-        return StabilityProof(
-            None, False, f"nothing: {states} states are too many to know all poles"
-        )
+        return StabilityProof(None, False, f"{states} states are too many to compute all poles")
     omega = 2 * np.pi * band[1]
     values = _compute_poles(pencil, omega) if poles is None else poles
     limit = GROWTH_ROUNDING * np.maximum(np.abs(values), omega)
@@ -89,7 +93,7 @@ def prove_stability(
     rounded = states * np.finfo(float).eps * np.abs(values).max(initial=0.0)
     if grows.any() and (values.real[grows] <= rounded).all():
         return StabilityProof(
-            None, False, "nothing: rounding of the poles hides which side they are on"
+            None, False, "the positive real parts of some poles are below their rounding errors"
         )
     return StabilityProof(not grows.any(), False, "poles")
 

@@ -178,7 +178,7 @@ def _make_energy_state_space(pencil: Pencil) -> ABCD:
         return inner, T.T @ B, C @ T, D
     U, size, Vt = scipy.linalg.svd(E)
     r = int((size > MASSLESS * max(size[0], np.finfo(float).tiny)).sum())
-    why = "algebraic equations that do not determine their unknowns"
+    why = "its algebraic equations are singular"
     rest, B, C, D = _eliminate_last_unknowns(U.T @ rest @ Vt.T, U.T @ B, C @ Vt.T, D, r, why)
     return -rest / size[:r, None], B / size[:r, None], C, D
 

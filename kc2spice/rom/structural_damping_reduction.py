@@ -103,8 +103,8 @@ def approximate_causally(
     difference = search.compute_deviation(modes)
     added = f" and {relaxation_count} relaxations" if relaxation_count else ""
     method = (
-        f"{known.method}; structural damping{_describe_loss(model)} by viscous damping of each mode"
-        f"{added}, which differs by {difference:.1e}"
+        f"{known.method}; structural damping{_describe_loss(model)} approximated by viscous "
+        f"damping of each mode{added}, which changes the response by {difference:.1e}"
     )
     estimate = max(error, SAFETY_FACTOR * search.compute_verified_error(result))
     if estimate > tolerance:
@@ -192,7 +192,7 @@ class _PassiveModelSearch:
 
     @cached_property
     def dashpot_modes(self) -> list[Oscillator]:
-        """Modes with one viscous damper each, and rigid-body modes without a damper."""
+        """Modes with one viscous dashpot each, except rigid-body modes, which have none."""
         share = self._largest_decoupled_share
         return [
             make_viscous_oscillator(k, share * h)
@@ -203,10 +203,11 @@ class _PassiveModelSearch:
 
     @cached_property
     def _largest_decoupled_share(self) -> float:
-        """Largest factor f for which ``H - f diag(H)`` has no negative eigenvalue.
+        """Largest decoupled share f of losses that leaves ``H - f diag(H)`` passive.
 
-        H is the loss matrix of the modes. Dampers of single modes represent the losses ``f
-        diag(H)``, and couplings between modes represent the remaining losses.
+        H is the loss matrix of the modes. A loss matrix is passive if it has no negative
+        eigenvalue. Dampers of single modes represent the losses ``f diag(H)``, and couplings
+        between modes represent the remaining losses.
         """
         losses = np.diag(self.H)
         lossy = losses > ZERO_DAMPING * losses.max(initial=0.0)

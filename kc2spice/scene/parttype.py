@@ -79,7 +79,7 @@ def compute_pin_forces(build: BuiltScene, waves: Waveforms) -> Mapping[tuple[str
     """
 
     def compute_all_forces() -> tuple[BuiltScene, Waveforms, dict[tuple[str, str], np.ndarray]]:
-        """Return the built scene, its waveforms, and all forces [N] by part and pin."""
+        """Compute all forces [N]; return the built scene, its waveforms and the forces."""
         result = {}
         for name, part in build.scene.parts.items():
             for pin, force in part.type.forces(part, build, waves).items():
@@ -105,12 +105,13 @@ _RENAMED_METHODS = {
     "settable": "settable_quantities",
 }
 _types: dict[str, PartType] = {}
+_own_names: set[str] = set()  # names of the part types that users registered
 
 
-def register_part_type(part_type: PartType) -> PartType:
+def register_part(part_type: PartType) -> PartType:
     """Register a part type under its name, so that scenes can use it.
 
-    A new part type replaces an earlier part type of the same name.
+    A new part type replaces an earlier part type of the same name, except a built-in part type.
 
     Parameters
     ----------
@@ -124,8 +125,8 @@ def register_part_type(part_type: PartType) -> PartType:
 
     Raises
     ------
-    UsageError : the argument is not a part type with a schema, or has a name that is not valid in
-        netlists.
+    UsageError : the argument is not a part type with a schema, has the name of a built-in part
+        type, or has a name that is not valid in netlists.
 
     Examples
     --------
@@ -147,6 +148,33 @@ def register_part_type(part_type: PartType) -> PartType:
     >>> result = kc.run({"pull": pull, "plate": plate, "analysis": {"type": "op"}})
     >>> print(f"{result.waves['plate.force'][0]:.4f} {result.units['plate.force']}")
     0.1000 N
+    """
+    if isinstance(part_type, PartType) and getattr(part_type, "name", "") in _list_built_in_names():
+        raise UsageError(
+            "a built-in part type has this name",
+            where="register_part",
+            got=part_type.name,
+            expected="a name that no built-in part type has",
+            hint=f"write another name, such as my_{part_type.name}",
+        )
+    register_part_type(part_type)
+    _own_names.add(part_type.name)
+    return part_type
+
+
+def _list_built_in_names() -> frozenset[str]:
+    """Return the names of the part types that belong to kc2spice."""
+    others = {*_own_names, *list_entry_points(PARTS_PACKAGE)}
+    return frozenset(list_type_names()) - others
+
+
+def register_part_type(part_type: PartType) -> PartType:
+    """Register a part type of ``kc2spice.parts`` or of an entry point under its name.
+
+    Raises
+    ------
+    UsageError : the argument is not a part type with a schema, or has a name that is not valid in
+        netlists.
     """
     name = getattr(part_type, "name", "")
     if not isinstance(part_type, PartType) or not name or not hasattr(part_type, "schema"):

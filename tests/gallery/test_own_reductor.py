@@ -36,7 +36,7 @@ def test_static_responses_save_more_than_half_of_the_modes(printed):
 
 
 def test_the_table_lists_the_methods_that_exist():
-    rows = dict(re.findall(r"(?m)^\| `([\w ]+)` \| .* \| `(\w+)(?:\(.*\))?` \|$", PAGE))
+    rows = dict(re.findall(r"(?m)^\| `([\w -]+)` \| .* \| `(\w+)(?:\(.*\))?` \|$", PAGE))
     assert rows == {method.name: type(method).__name__ for method in registry._BUILT_IN}
 
 

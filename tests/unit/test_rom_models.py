@@ -7,8 +7,10 @@ from scipy import sparse
 from support import (
     LinearModel,
     Port,
+    SchurComplement,
     SimulationError,
     UsageError,
+    apply_congruence,
     eliminate_massless,
     make_piezoelectric_model,
 )
@@ -126,3 +128,17 @@ def test_free_potentials_are_eliminated_exactly(potentials, damping):
 def test_a_pole_among_the_frequencies_is_an_error():
     with pytest.raises(SimulationError, match="pole"):
         LinearModel(M=np.eye(1), K=np.zeros((1, 1)), B=np.eye(1)).transfer(np.zeros(1))
+
+
+@pytest.mark.parametrize("skew", [0.0, 0.3])
+def test_the_congruence_of_a_schur_complement_is_that_of_its_dense_matrix(skew):
+    """An unsymmetric Schur complement occurs in coupled models without reciprocity."""
+    rng = np.random.default_rng(4)
+    whole = np.diag(np.arange(4.0, 10.0)) + 0.1
+    whole[0, 4] += skew
+    blocks = (whole[:4, :4], whole[:4, 4:], whole[4:, :4], whole[4:, 4:])
+    dense = blocks[0] - blocks[1] @ np.linalg.solve(blocks[3], blocks[2])
+    V = rng.normal(size=(4, 2))
+    found = apply_congruence(SchurComplement(*map(sparse.csc_array, blocks)), V)
+    assert found == pytest.approx(V.T @ dense @ V, rel=1e-12)
+    assert (found == found.T).all() == (skew == 0)

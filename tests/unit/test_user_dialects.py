@@ -70,3 +70,15 @@ def test_a_temperature_in_an_expression_needs_its_name():
         translate_deck(deck, "own")
     kc.register_dialect(define_dialect(temperature="tcelsius"))
     assert "V=tcelsius*2" in translate_deck(deck, "own").files["one.cir"]
+
+
+@pytest.mark.parametrize("name", ["ltspice", "xyce"])
+def test_a_name_of_a_built_in_dialect_is_not_replaced(name):
+    """The proposed name works, and may be registered again."""
+    with pytest.raises(UsageError, match="a built-in dialect has this name") as caught:
+        kc.register_dialect(define_dialect(dialect=name))
+    proposed = caught.value.hint.split("'")[1]
+    for _ in range(2):
+        assert kc.register_dialect(define_dialect(dialect=proposed)).dialect == f"my_{name}"
+    built_in = dialect_registry.find_dialect(name)
+    assert kc.register_dialect(built_in) is built_in

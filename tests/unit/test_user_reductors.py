@@ -267,7 +267,7 @@ def test_a_comparison_states_why_a_method_does_not_apply():
     damped = {"M": np.eye(n), "E": 0.1 * K, "K": K, "B": B}
     relaxing = reasons(A=-K, B=B, C=B.T)
     assert relaxing["block Krylov"] == "the model is of first order"
-    assert "use 'balanced truncation'" in relaxing["balanced truncation of outputs as they are"]
+    assert "use 'balanced truncation'" in relaxing["unscaled balanced truncation"]
     assert relaxing["IRKA"] is None
     gyroscopic = reasons(**damped | {"E": 0.1 * K + 0.01 * skew})
     assert "not symmetric" in gyroscopic["block Krylov"]
@@ -278,7 +278,7 @@ def test_a_comparison_states_why_a_method_does_not_apply():
     grounded = free + 0.5 * np.diag(np.eye(n)[0])
     body = reasons(**damped | {"K": free, "E": 0.1 * grounded})
     assert "rigid-body modes" in body["IRKA"]
-    assert "rigid-body modes" in body["balanced truncation over the band"]
+    assert "rigid-body modes" in body["frequency-limited balanced truncation"]
     undamped = reasons(**damped | {"E": None})
     assert undamped["balanced truncation"] == "the model is not strictly stable"
     assert undamped["block Krylov"] is None
@@ -300,7 +300,7 @@ def test_irka_has_the_size_limit_of_the_balanced_models_that_it_starts_from():
     K, B = np.diag(np.linspace(1.0, 9.0, n)), np.ones((n, 2))
     B[::2, 1] = -1.0
     model = kc.LinearModel(M=np.eye(n), E=0.1 * K, K=K, B=B)
-    for method in ("IRKA", "balanced truncation of outputs as they are"):
+    for method in ("IRKA", "unscaled balanced truncation"):
         with pytest.raises(UsageError, match="502 first-order states, more than 500"):
             kc.reduce(model, order=4, band=(0, 0.1), method=method)
 
@@ -324,8 +324,8 @@ def test_the_page_on_methods_states_their_size_limits():
     for name, size in {
         "balanced truncation": balanced_truncation.MAX_STATES,
         "balanced truncation by congruence": balanced_truncation.MAX_STATES,
-        "balanced truncation of outputs as they are": balanced_truncation.MAX_UNSCALED_STATES,
-        "balanced truncation over the band": band_limited_balancing.MAX_STATES,
+        "unscaled balanced truncation": balanced_truncation.MAX_UNSCALED_STATES,
+        "frequency-limited balanced truncation": band_limited_balancing.MAX_STATES,
         "IRKA": balanced_truncation.MAX_UNSCALED_STATES,
     }.items():
         assert limits.pop(name) == [str(size)]
@@ -357,3 +357,66 @@ def test_a_scene_without_methods_names_the_commands_that_have_them(key):
         kc.load_scene("buzzer_7bb_20_6", {key: "IRKA"})
     assert "--method" in caught.value.hint
     assert "kc.reduce" in caught.value.hint
+
+
+def test_a_name_of_a_built_in_method_is_not_replaced(monkeypatch):
+    """The proposed name works, and may be registered again with another method."""
+    monkeypatch.setattr(registry, "_reductors", dict(registry._reductors))
+    method = UserMethod(lambda task: task.project(static_and_modes(task)))
+    method.name = "response POD"
+    with pytest.raises(UsageError, match="built-in reduction method has this name") as caught:
+        kc.register_reductor(method)
+    assert not isinstance(registry.find_reductor("response POD"), UserMethod)
+    method.name = re.search(r"name = '(.+)'", caught.value.hint).group(1)
+    for _ in range(2):
+        assert kc.register_reductor(method).name == "my response POD"
+    assert kc.reduce(chain(), tolerance=1e-3, method="my response POD").certificate.passive
+    (built_in,) = (item for item in registry._BUILT_IN if item.name == "block Krylov")
+    assert kc.register_reductor(built_in) is built_in
+
+
+def test_two_methods_of_the_same_name_have_separate_bases():
+    """One model is reduced by the lowest 4 modes, then by the next 4; frequencies by hand."""
+    reduction = kc.Reduction(chain(), band=(0, 0.1 * np.sqrt(1e9 / 1e-6)))
+    lowest = np.sort(np.sqrt(eigh(chain().K, chain().M)[0]))
+    for first in (0, 4):
+        method = UserMethod(
+            lambda task, k=first: task.project(eigh(task.model.K, task.model.M)[1][:, k : k + 4])
+        )
+        rom = reduction.reduce(order=4, method=method)
+        np.testing.assert_allclose(
+            np.sort(np.sqrt(eigh(rom.K, rom.M)[0])), lowest[first : first + 4], rtol=1e-9
+        )
+
+
+@pytest.mark.parametrize("place", ["basis", "applies_to", "obstacle"])
+def test_an_exception_in_a_user_method_is_an_error_with_its_line(place, monkeypatch):
+    def broken(*_):
+        return 1 / 0
+
+    method = UserMethod(vectors)
+    monkeypatch.setattr(method, place, broken)
+    for reduce in (kc.reduce, lambda model, **keys: kc.Reduction(model, band=keys["band"]).reduce(
+        order=keys["order"], method=keys["method"])):  # fmt: skip
+        with pytest.raises(UsageError, match="ZeroDivisionError: division by zero") as caught:
+            reduce(chain(), order=3, band=(0, 1e6), method=method)
+        assert str(caught.value).startswith("method 'user method': broken of this")
+        line = broken.__code__.co_firstlineno + 1
+        assert caught.value.hint == f"correct line {line} of {__file__}"
+        assert isinstance(caught.value.__cause__, ZeroDivisionError)
+    monkeypatch.setattr(method, place, lambda: None)
+    with pytest.raises(UsageError, match="raises TypeError") as caught:
+        kc.reduce(chain(), order=3, band=(0, 1e6), method=method)
+    assert caught.value.hint == "correct UserMethod"
+
+
+@pytest.mark.parametrize("aim", [{"tolerance": 1e-2}, {"order": 6}])
+def test_a_comparison_has_a_row_for_the_default_choice(aim):
+    """The row agrees with the reduction without a method."""
+    model = chain(1.0, 1.0)
+    result = compare_methods(model, band=(0.0, 0.1), **aim)
+    (row,) = (row for row in result["methods"] if row["method"] == "default")
+    rom = kc.reduce(model, band=(0.0, 0.1), norm=result["norm"], **aim)
+    assert (row["order"], row["states"]) == (rom.order, 2 * rom.order)
+    assert row["error_estimate"] == pytest.approx(rom.certificate.error_estimate)
+    assert row["reason"] is None

@@ -28,7 +28,7 @@ _dialects: dict[str, type[Dialect]] = {}
 def register_dialect(dialect: type[Dialect]) -> type[Dialect]:
     """Register a simulator's dialect for ``--dialect`` and for exports.
 
-    A later dialect of the same name replaces the earlier one.
+    A later dialect of the same name replaces the earlier one, except a built-in dialect.
 
     Parameters
     ----------
@@ -42,8 +42,8 @@ def register_dialect(dialect: type[Dialect]) -> type[Dialect]:
 
     Raises
     ------
-    UsageError : the class is not a subclass of Dialect, lacks a method or a title, or is named
-        ngspice or verilog-a.
+    UsageError : the class is not a subclass of Dialect, lacks a method or a title, or has the name
+        of a built-in dialect.
 
     Examples
     --------
@@ -80,6 +80,16 @@ def _require_dialect(value: object, where: str) -> type[Dialect]:
         # without its own title, a class inherits the title of ngspice
         titled = value.title != Dialect.title
         named = bool(value.dialect) and value.dialect not in (NGSPICE, VERILOG_A)
+        # the name of a built-in dialect is also the name of its module
+        built_in = value.__module__ == f"{DIALECT_PACKAGE}.{value.dialect}"
+        if value.dialect in _list_builtin_dialects() and not built_in:
+            raise UsageError(
+                "a built-in dialect has this name",
+                where=where,
+                got=value.dialect,
+                expected="a name that no built-in dialect has",
+                hint=f"write  dialect = 'my_{value.dialect}'  in the class {value.__name__}",
+            )
         if not missing and named and titled:
             return value
         got = f"{value.__name__} with the name {value.dialect!r} and the title {value.title!r}"

@@ -61,7 +61,7 @@ class BalancedTruncation(Reductor):
 
     def __init__(self, scaled: bool = True) -> None:
         self.scaled = scaled
-        self.name = "balanced truncation" + ("" if scaled else " of outputs as they are")
+        self.name = "balanced truncation" if scaled else "unscaled balanced truncation"
 
     def obstacle(self, task: ReductionTask) -> str:
         """Explain why the method does not apply to the model; return "" if it applies."""
@@ -69,7 +69,7 @@ class BalancedTruncation(Reductor):
         if reason or self.scaled:
             return reason
         if task.estimator.exact_response_and_scales[1].peak.size == 1:
-            return "one transfer function alone has no scale: use 'balanced truncation'"
+            return "scaling has no effect on a single transfer function: use 'balanced truncation'"
         return explain_too_large(task.first_order_response.pencil.size, MAX_UNSCALED_STATES)
 
     def basis(self, task: ReductionTask) -> ReducedBasis | None:
@@ -129,7 +129,7 @@ def explain_no_gramians(task: ReductionTask) -> str:
         return "damping couples rigid-body modes to other motions, so Gramians do not exist"
     if not task.intermediate.static:
         return "the model has no static response, so Gramians do not exist"
-    return explain_too_large(task.states, MAX_STATES)
+    return explain_too_large(task.state_count, MAX_STATES)
 
 
 def explain_too_large(states: int, largest: int) -> str:

@@ -38,11 +38,11 @@ class BandLimitedBalancing(Reductor):
     >>> A, B = np.diag([-1.0, -1e6]), np.array([[1.0], [1e3]])
     >>> model = kc.LinearModel(A=A, B=B, C=B.T)
     >>> aims = {"tolerance": 1e-3, "band": (0, 0.1), "norm": "peak"}
-    >>> kc.reduce(model, **aims, method="balanced truncation over the band").order
+    >>> kc.reduce(model, **aims, method="frequency-limited balanced truncation").order
     2
     """
 
-    name = "balanced truncation over the band"
+    name = "frequency-limited balanced truncation"
     reference = (
         "Gawronski and Juang, Int. J. Syst. Sci. 21 (1990) 349; by quadrature: Gosea, Gugercin and "
         "Beattie, SIAM J. Sci. Comput. 44 (2022), arXiv:2104.01006"
@@ -56,7 +56,7 @@ class BandLimitedBalancing(Reductor):
         )
         if reason or task.first_order_response.is_decoupled:
             return reason
-        return "the eigenvectors of the model are too close to each other for fast samples"
+        return "the eigenvectors of the model are nearly parallel, so that sampling would be slow"
 
     def basis(self, task: ReductionTask) -> ReducedBasis | None:
         """Return the basis that balances the model over the band, or None."""

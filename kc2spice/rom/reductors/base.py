@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import traceback
 from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 
-from kc2spice.core.errors import UsageError
+from kc2spice.core.errors import Kc2spiceError, UsageError
 from kc2spice.rom.reduced_basis import ReducedBasis, ReductionTask
 
 
@@ -17,7 +20,8 @@ class Reductor(ABC):
     A subclass has a ``name``, a literature ``reference`` and the method :meth:`basis`. The choice
     of the order, the error estimate and the proofs of stability and passivity are the same for all
     methods. ``congruence`` (by default True) states that the projection is a Galerkin projection,
-    which preserves the form of the matrices. ``no_basis`` is the reason in error messages if
+    which preserves the symmetry and definiteness of the matrices. ``no_basis`` is the reason in
+    error messages if
     :meth:`basis` returns None.
 
     Examples
@@ -80,8 +84,34 @@ class Reductor(ABC):
         return basis, order
 
 
+@contextmanager
+def describe_errors_in_method(reductor: Reductor) -> Iterator[None]:
+    """Describe an exception in the code of a user's reduction method as UsageError.
+
+    Errors of kc2spice and exhausted memory pass unchanged.
+
+    Raises
+    ------
+    UsageError : the ``with`` block raises another exception.
+    """
+    try:
+        yield
+    except (Kc2spiceError, MemoryError):
+        raise
+    except Exception as error:
+        # the third frame, below this function and the ``with`` block, is that of the user
+        own = traceback.extract_tb(error.__traceback__)[2:3]
+        name = own[0].name if own else "the class"
+        place = f"line {own[0].lineno} of {own[0].filename}" if own else type(reductor).__name__
+        raise UsageError(
+            f"{name} of this reduction method raises {type(error).__name__}: {error}",
+            where=f"method {reductor.name!r}",
+            hint=f"correct {place}",
+        ) from error
+
+
 def require_basis(reductor: Reductor, result: Any) -> ReducedBasis | None:
-    """Check the ``result`` of :meth:`Reductor.basis`: a valid basis or None.
+    """Require that ``result`` of :meth:`Reductor.basis` is a reduced basis or None.
 
     Raises
     ------

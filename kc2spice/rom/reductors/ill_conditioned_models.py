@@ -147,7 +147,7 @@ def reduce_by_samples(
             break
     if not max(recent) <= limit:
         raise make_inaccuracy_error(
-            "the model cannot be distinguished from rounding errors",
+            "rounding errors prevent an accurate reduction of this ill-conditioned model",
             f"relative error {max(recent):.1e} with {model.size} states",
             limit,
             "increase the tolerance or narrow the band",

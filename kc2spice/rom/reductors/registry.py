@@ -32,6 +32,7 @@ _BUILT_IN = (
     POD, TWO_SIDED_POD, BALANCED, UNSCALED, OVER_BAND, CONGRUENT, BLOCK_KRYLOV, RationalKrylov(),
     Irka(),
 )  # fmt: skip
+_BUILT_IN_NAMES = frozenset(reductor.name for reductor in _BUILT_IN)
 ENTRY_POINT_GROUP = "kc2spice.reductors"
 _reductors: dict[str, Reductor] = {reductor.name: reductor for reductor in _BUILT_IN}
 
@@ -39,9 +40,9 @@ _reductors: dict[str, Reductor] = {reductor.name: reductor for reductor in _BUIL
 def register_reductor(reductor: Reductor) -> Reductor:
     """Register a reduction method for the argument ``method`` of ``kc2spice.reduce``.
 
-    The new method replaces an earlier method of the same name. Without the argument ``method``,
-    :func:`kc2spice.reduce` tries only built-in methods: response POD and the variants of balanced
-    truncation.
+    The new method replaces an earlier method of the same name, except a built-in method. Without
+    the argument ``method``, :func:`kc2spice.reduce` tries only built-in methods: response POD and
+    the variants of balanced truncation.
 
     Parameters
     ----------
@@ -55,7 +56,8 @@ def register_reductor(reductor: Reductor) -> Reductor:
 
     Raises
     ------
-    UsageError : the argument has no name, or is not an instance of :class:`Reductor`.
+    UsageError : the argument has no name or the name of a built-in method, or is not an instance of
+        :class:`Reductor`.
 
     Examples
     --------
@@ -73,7 +75,8 @@ def register_reductor(reductor: Reductor) -> Reductor:
     >>> kc.reduce(model, order=2, band=(0, 0.1), method="modal truncation").order
     2
     """
-    _reductors[reductor.name] = _require_reductor(reductor, "register_reductor")
+    where = "register_reductor"
+    _reductors[reductor.name] = _require_free_name(_require_reductor(reductor, where), where)
     return reductor
 
 
@@ -95,12 +98,26 @@ def _require_reductor(value: object, where: str) -> Reductor:
     )
 
 
+def _require_free_name(reductor: Reductor, where: str) -> Reductor:
+    """Return a reductor; raise UsageError if another built-in method has its name."""
+    if reductor.name in _BUILT_IN_NAMES and not is_built_in(reductor):
+        raise UsageError(
+            "a built-in reduction method has this name",
+            where=where,
+            got=reductor.name,
+            expected="a name that no built-in method has",
+            hint=f"write  name = 'my {reductor.name}'  in the class {type(reductor).__name__}",
+        )
+    return reductor
+
+
 @cache
 def _load_installed_reductors() -> None:
-    """Register reduction methods of installed packages, except names already in use."""
+    """Register reduction methods of installed packages, except names that the user registered."""
     for name in list_entry_points(ENTRY_POINT_GROUP):
         where = f"entry point {name} of {ENTRY_POINT_GROUP}"
-        reductor = _require_reductor(load_plugin(ENTRY_POINT_GROUP, name), where)
+        plugin = _require_reductor(load_plugin(ENTRY_POINT_GROUP, name), where)
+        reductor = _require_free_name(plugin, where)
         _reductors.setdefault(reductor.name, reductor)
 
 
@@ -138,20 +155,25 @@ def find_reductor(method: str | Reductor) -> Reductor:
     return _reductors[method]
 
 
+def is_built_in(reductor: Reductor) -> bool:
+    """Return whether a reductor is a built-in method, possibly with other options."""
+    return type(reductor) in map(type, _BUILT_IN)
+
+
 def advise_more_vectors(reductor: Reductor) -> str:
     """Return the hint for the user of a method whose basis has too few vectors."""
     if isinstance(reductor, RationalKrylov) and reductor.points is not None:
         return "add expansion points, or use a larger tolerance"
-    if type(reductor) in map(type, _BUILT_IN):
+    if is_built_in(reductor):
         return "leave method out, so that kc2spice selects a method"
     return "return more vectors from basis(), or use a larger tolerance"
 
 
 def list_suited_reductors(task: ReductionTask) -> list[Reductor]:
-    """Return the default methods for a task: response POD and balanced truncation.
+    """List the reductors that suit a reduction task, in the order of their use.
 
-    Congruences come first. In the norm *pointwise*, balancing over the band comes next, because it
-    represents notches accurately.
+    The reductors are response POD and balanced truncation. Congruences come first. In the norm
+    *pointwise*, balancing over the band comes next, because it represents notches accurately.
     """
     congruences: list[Reductor] = [POD, CONGRUENT if task.is_collocated else TWO_SIDED_POD]
     if task.norm == "pointwise":
