@@ -24,7 +24,7 @@ from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.parts.bodies._varied_keys import VariedKey
 from kc2spice.rom.complex_material_constants import ComplexConstants
 from kc2spice.rom.linear_model import LinearModel
-from kc2spice.rom.modal_models import compute_clamped_tangent, compute_permittivity_ratio
+from kc2spice.rom.modal_models import compute_clamped_loss_tangent, compute_permittivity_ratio
 from kc2spice.rom.parametric_models import (
     DenseParametricModel,
     ParameterAxis,
@@ -41,6 +41,9 @@ from kc2spice.workflow.fit_keys import name_scene_keys
 # Smallest assumed relative noise: the error of the mesh can exceed the noise of the data.
 MIN_NOISE = 1e-3
 DIFFERENCE_STEP = 1e-5  # step of finite differences in the logarithm of a value
+# Largest number of finite-element models of one fit. Fits of three keys that converge need at most
+# about a hundred models.
+MAX_MODELS = 300
 # frequency that counts as static, relative to the lowest frequency of the data
 STATIC_FREQUENCY_RATIO = 1e-3
 # the loss tangent is added to the response, because no finite-element model contains it
@@ -53,9 +56,20 @@ LOSS_FACTORS: dict[str, Callable[[float], float]] = {
 }
 # smallest motional capacitance of an excited mode, relative to the largest motional capacitance
 MIN_MODE_SHARE = 1e-3
-CONSTANT_Q_CAUSE = 'losses by complex constants of IEEE 176: set damping.model = "ieee176"'
-VISCOUS_CAUSE = 'losses by viscous damping: set damping.model = "rayleigh"'
+CONSTANT_Q_CAUSE = (
+    'losses described by complex material constants (IEEE 176): set damping.model = "ieee176"'
+)
+VISCOUS_CAUSE = 'losses described by viscous damping: set damping.model = "rayleigh"'
 ParameterAxes = dict[str, ParameterAxis]
+
+
+# Largest number of admittances that one fit computes with reduced models. Fits of three keys that
+# converge compute a few hundred admittances.
+MAX_REDUCED_ADMITTANCES = 2000
+
+
+class FitLimitError(Exception):
+    """Error of a fit that has reached a limit; the message names the limit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +77,9 @@ class BodyFit:
     """Body with varied keys, and the measured admittance to which the keys are fitted.
 
     The scene ``like`` defines the mesh. ``counted`` is the number of computed finite-element
-    models. ``last`` contains the latest full model.
+    models. ``plan`` contains the value of ``counted`` at the start of the latest reduction, and the
+    number of models for this reduction. ``evaluated`` is the number of admittances that the fit
+    has computed with reduced models. ``last`` contains the latest full model.
     """
 
     scene: Scene
@@ -73,6 +89,8 @@ class BodyFit:
     progress: Progress
     like: Scene
     counted: list[int] = field(default_factory=lambda: [0])
+    plan: list[int] = field(default_factory=lambda: [0, 0])
+    evaluated: list[int] = field(default_factory=lambda: [0])
     last: dict[object, LinearModel] = field(default_factory=dict)
 
     @property
@@ -81,8 +99,11 @@ class BodyFit:
         return self.data.Y[:, 0, 0]
 
     @property
-    def log_admittance_noise(self) -> float:
-        """Standard deviation of the noise in the real and imaginary parts of log Y."""
+    def noise_of_log_admittance(self) -> float:
+        """Standard deviation of the noise in log Y, the logarithm of the admittance.
+
+        The standard deviation applies to the real part and to the imaginary part of log Y.
+        """
         return max(self.data.noise, MIN_NOISE)
 
     @property
@@ -100,6 +121,7 @@ class BodyFit:
         Raises
         ------
         UsageError : the part has no electrical port.
+        FitLimitError : the fit has already computed :data:`MAX_MODELS` models.
         """
         try:
             loaded = load_scene(self.scene, self.name_scene_keys(values))
@@ -117,8 +139,13 @@ class BodyFit:
         key, damping = (id(self.like) if moved else 0, *rest.items()), find_damping(part)
         if key in self.last and not damping.per_material:
             return add_rayleigh_damping(self.last[key], damping)
+        if self.counted[0] == MAX_MODELS:
+            raise FitLimitError(f"{MAX_MODELS} finite-element models")
+        begin, planned = self.plan
+        done = (self.counted[0] - begin) / planned if planned else 1.0
         self.counted[0] += 1
-        self.progress("fit", None, f"finite element model {self.counted[0]}")
+        text = f"finite element model {self.counted[0]} of at most {MAX_MODELS}"
+        self.progress("fit", done if done < 1 else None, text)
         with loaded.locate_errors(self.part):
             if moved:
                 like = self.like.get_part(self.part, where=self.part)
@@ -143,7 +170,12 @@ class BodyFit:
 
     def compute_full_admittance(self, values: Mapping[str, float]) -> np.ndarray:
         """Return the admittance [S] of the full model at each measured frequency."""
-        model = self.make_full_model(values, moved=False)
+        return self._compute_model_admittance(self.make_full_model(values, moved=False), values)
+
+    def _compute_model_admittance(
+        self, model: LinearModel, values: Mapping[str, float]
+    ) -> np.ndarray:
+        """Return the admittance [S] of a full model with the losses of the scene."""
         pencil = project_on_modes(model, float(self.data.f[-1]))
         if self.damping.model == "ieee176":
             return self.compute_complex_loss_response(pencil, values)
@@ -164,7 +196,7 @@ class BodyFit:
         of the key ``damping.at``. By default, the stiffness applies at the lowest resonance that a
         voltage excites.
         """
-        omega, gain, lowest = self.compute_voltage_modes(pencil)
+        omega, gain, lowest = self.compute_modes_with_voltage_gains(pencil)
         at = self.damping.find_ratio_frequency(lowest)
         assert at is not None
         tangent = values.get(LOSS_TANGENT_KEY, read_loss_tangent(self.scene.get_part(self.part)))
@@ -173,11 +205,13 @@ class BodyFit:
         H = losses.transfer(omega, gain, pencil.D, electrical, f)[:, 0, 0]
         return np.asarray(2j * np.pi * f * H)
 
-    def compute_voltage_modes(self, pencil: Pencil) -> tuple[np.ndarray, np.ndarray, float]:
-        """Compute modes, their voltage gains, and the lowest voltage-driven resonance.
+    def compute_modes_with_voltage_gains(
+        self, pencil: Pencil
+    ) -> tuple[np.ndarray, np.ndarray, float]:
+        """Compute modes with their voltage gains, and the lowest voltage-driven resonance.
 
-        For n modes, the results are the angular frequencies [rad/s], the voltage gains (of shape
-        (n, 1)), and the frequency [Hz] of the lowest resonance.
+        For n modes, the results are the angular frequencies [rad/s], the voltage gains (modal
+        forces per volt, of shape (n, 1)), and the frequency [Hz] of the lowest resonance.
         """
         K, _, M = pencil.make_dense().coefficients
         squares, shapes = scipy.linalg.eigh(K, M)
@@ -194,7 +228,7 @@ class BodyFit:
 
         At the lowest resonance that a voltage excites, the mode has the Q factor in ``values``.
         """
-        at = self.damping.find_ratio_frequency(self.compute_voltage_modes(pencil)[2])
+        at = self.damping.find_ratio_frequency(self.compute_modes_with_voltage_gains(pencil)[2])
         assert at is not None
         damped = replace(model, rayleigh=(0.0, self.compute_loss_factor(values) / (2 * np.pi * at)))
         charge = compute_modal_transfer(damped, self.frequencies)[:, 0, 0]
@@ -224,7 +258,9 @@ class BodyFit:
         tangent = values.get(LOSS_TANGENT_KEY, read_loss_tangent(self.scene.get_part(self.part)))
         if tangent:
             loss = (
-                compute_permittivity_ratio(f, compute_clamped_tangent(tangent, free / clamped - 1))
+                compute_permittivity_ratio(
+                    f, compute_clamped_loss_tangent(tangent, free / clamped - 1)
+                )
                 - 1
             )
             charge = charge + clamped * loss
@@ -237,21 +273,21 @@ class BodyFit:
 
         ``Y`` [S] is the fitted admittance. The changes are keyed by the description of the cause.
         The causes are losses that the fit does not vary, a different damping model, series leads,
-        stray or missing capacitance, and a parallel leak.
+        stray or missing capacitance, a parallel leak, and other material constants.
         """
         model, w = self.make_full_model(values, moved=False), 2 * np.pi * self.data.f
         clamped = w * float(model.D[0, 0])
         names = set(map(attrgetter("key"), self.keys))
         result: dict[str, np.ndarray] = {}
         if LOSS_TANGENT_KEY not in names:
-            result[f"loss of the dielectric: vary {LOSS_TANGENT_KEY}"] = clamped / Y
+            result[f"dielectric loss: vary {LOSS_TANGENT_KEY}"] = clamped / Y
         if model.rayleigh is not None and not names & DAMPING_KEYS:
             alpha, beta = model.rayleigh
             for factor, what in ((1 + DIFFERENCE_STEP, "more"), (1 - DIFFERENCE_STEP, "less")):
                 scaled = replace(model, rayleigh=(factor * alpha, factor * beta))
                 charge = compute_modal_transfer(scaled, self.frequencies)[:, 0, 0]
                 other = self.compute_lossy_admittance(charge, float(model.D[0, 0]), values)
-                result[f"{what} loss of the motion: vary damping.quality"] = np.log(other / Y)
+                result[f"{what} mechanical loss: vary damping.quality"] = np.log(other / Y)
         if not self.damping.per_material:
             pencil = project_on_modes(model, float(self.data.f[-1]))
             if self.damping.model == "rayleigh":
@@ -263,18 +299,67 @@ class BodyFit:
                     self.compute_viscous_response(model, pencil, values) / Y
                 )
         result |= {
-            "resistance in series, of leads or electrodes: compensate the fixture": -Y,
-            "inductance of leads: compensate the fixture": -1j * w * Y,
-            "a stray capacitance in parallel: compensate the fixture": 1j * w / Y,
-            "less capacitance than the model has: vary the permittivity or an area": -1j * w / Y,
-            "a leak in parallel: clean the part, or compensate the fixture": 1 / Y,
+            "series resistance of leads or electrodes: compensate the fixture": -Y,
+            "series inductance of leads: compensate the fixture": -1j * w * Y,
+            "parallel stray capacitance: compensate the fixture": 1j * w / Y,
+            "less capacitance than in the model: vary the permittivity or an area": -1j * w / Y,
+            "parallel leakage resistance: clean the part, or compensate the fixture": 1 / Y,
         }
-        return {name: column / self.log_admittance_noise for name, column in result.items()}
+        result |= self._compute_effects_of_materials(model, values, Y)
+        return {name: column / self.noise_of_log_admittance for name, column in result.items()}
+
+    def _compute_effects_of_materials(
+        self, model: LinearModel, values: Mapping[str, float], Y: np.ndarray
+    ) -> dict[str, np.ndarray]:
+        """Return how other material constants change the logarithm of the admittance.
+
+        The constants are the stiffness of all materials, and their piezoelectric constants. The
+        arguments are defined in :meth:`compute_effects_of_causes`.
+        """
+        names, result = " ".join(map(attrgetter("key"), self.keys)), dict[str, np.ndarray]()
+        factor = 1 + DIFFERENCE_STEP
+        # B' (c K - w^2 M)^-1 B is the response of a model with M / c and B / sqrt(c)
+        root = np.sqrt(factor)
+        stiffer = replace(model, M=model.M / factor, B=model.B / root, C=model.C / root)
+        coupled = replace(model, B=factor * model.B, C=factor * model.C)
+        scaled = {
+            (
+                "stiffer materials or different dimensions",
+                "softer materials or different dimensions",
+                "youngs_modulus or compliance",
+            ): stiffer,
+            (
+                "larger piezoelectric constants",
+                "smaller piezoelectric constants",
+                "strain_coupling",
+            ): coupled,
+        }
+        for (more, less, constants), changed in scaled.items():
+            if any(word in names for word in constants.split(" or ")):
+                continue
+            other = self._compute_model_admittance(changed, values)
+            effect = np.log(other / Y) / DIFFERENCE_STEP
+            advice = f"vary {constants} of a material that the scene defines in a table"
+            if changed is stiffer:
+                advice = f"vary a size, or {advice}"
+            result[f"{more}: {advice}"] = effect
+            result[f"{less}: {advice}"] = -effect
+        return result
 
     def compute_reduced_admittance(
         self, reduced: DenseParametricModel, values: Mapping[str, float]
     ) -> np.ndarray:
-        """Return the admittance [S] of a reduced model for values of the fitted keys."""
+        """Return the admittance [S] of a reduced model for values of the fitted keys.
+
+        Raises
+        ------
+        FitLimitError : the fit has computed :data:`MAX_REDUCED_ADMITTANCES` admittances.
+        """
+        number = self.evaluated[0] = self.evaluated[0] + 1
+        if number > MAX_REDUCED_ADMITTANCES:
+            raise FitLimitError(f"{MAX_REDUCED_ADMITTANCES} admittances of reduced models")
+        text = f"admittance {number} of at most {MAX_REDUCED_ADMITTANCES}"
+        self.progress("fit search", (number - 1) / MAX_REDUCED_ADMITTANCES or None, text)
         model = reduced.evaluate(values)
         if self.damping.model == "ieee176":
             return self.compute_complex_loss_response(model.pencil, values)
@@ -289,4 +374,12 @@ class BodyFit:
         if self.damping.model == "ieee176":
             constant |= LOSS_FACTORS.keys()
         axes = [axis for name, axis in parameter_axes.items() if name not in constant]
-        return reduce_over_parameters(self.make_full_model, axes, self.band, degree=degree)
+
+        def store_model_count(number: int, count: int) -> None:
+            """Store the model count of a reduction before the reduction's first model."""
+            if number == 1:
+                self.plan[:] = self.counted[0], count
+
+        return reduce_over_parameters(
+            self.make_full_model, axes, self.band, degree=degree, progress=store_model_count
+        )

@@ -29,14 +29,14 @@ from kc2spice.scene.load import load_scene
 from kc2spice.scene.scene_classes import Scene
 from kc2spice.workflow.fit_curves import MeasuredCurve
 from kc2spice.workflow.fit_keys import name_scene_keys
-from kc2spice.workflow.fit_record import describe_error, describe_values, match_resonances
+from kc2spice.workflow.fit_record import compute_error_statistics, describe_values, match_resonances
 from kc2spice.workflow.misfit import WARNING_MISFIT
 from kc2spice.workflow.part_models import build_models
 
 # smallest assumed relative noise, because contact resistance and temperature also cause errors
 MIN_NOISE = 1e-3
 DIFFERENCE_STEP = 1e-5  # step of forward differences in the logarithm of a value
-MAX_EVALUATIONS = 60
+MAX_EVALUATIONS = 60  # largest number of steps of the least-squares fit
 # Residual, in units of the noise, that is assigned to values that the part cannot have.
 # This large residual keeps the descent away from impossible values.
 IMPOSSIBLE_RESIDUAL = 1e4
@@ -111,7 +111,7 @@ def require_impedance(scene: Scene, part: str) -> None:
 
 
 def _reject_source(scene: Scene, part: str) -> None:
-    """Raise an error if the part is a source, and list the parts with an impedance."""
+    """Raise an error if the part is a source; the message lists suitable parts."""
     if scene.get_part(part, where=part).type.name != "source":
         return
     names = []
@@ -132,7 +132,10 @@ def _reject_source(scene: Scene, part: str) -> None:
 
 
 def _find_impedance_results(part: str, results: Collection[str]) -> tuple[str, str] | None:
-    """Return the names of the voltage and the current of a part; None without both."""
+    """Return names of voltage and current results for a part's impedance, or None.
+
+    The result is None if the part does not have both results.
+    """
     for voltage, current in _IMPEDANCE_RESULTS:
         pair = f"{part}.{voltage}", f"{part}.{current}"
         if pair[0] in results and pair[1] in results:
@@ -167,7 +170,10 @@ def _find_network(scene: Scene, part: str) -> tuple[Network, str, str]:
 
 @dataclass(frozen=True, eq=False)
 class CircuitFit:
-    """Least-squares fit of a part's keys, as logarithms, to measured curves."""
+    """Least-squares fit of a part's keys to measured curves.
+
+    The unknowns of the fit are the logarithms of the absolute values of the keys.
+    """
 
     scene: Scene
     part: str
@@ -200,11 +206,15 @@ class CircuitFit:
     def admittance(self, curve: MeasuredCurve, values: Mapping[str, float]) -> np.ndarray:
         """Compute the admittance [S] of the part under the conditions of a measured curve.
 
-        ``values`` are values of the fitted keys. The conditions of the measurement are the
-        overrides of ``curve``.
+        ``values`` are values of the fitted keys. The ``overrides`` of ``curve`` set scene keys to
+        the conditions of the measurement, such as an added mass.
         """
         self.counted[0] += 1
-        self.progress("fit", None, f"response {self.counted[0]}")
+        # each step computes one response for each curve, and one more for each varied key
+        most = MAX_EVALUATIONS * len(self.fitted_curves) * (1 + len(self.keys))
+        done = (self.counted[0] - 1) / most
+        text = f"response {self.counted[0]} of at most {most}"
+        self.progress("fit", done if done < 1 else None, text)
         overrides = {**self.name_scene_keys(values), **curve.overrides}
         return compute_admittance(load_scene(self.scene, overrides), self.part, curve.data.f)
 
@@ -273,6 +283,12 @@ def fit_circuit(problem: CircuitFit, where: str) -> dict[str, Any]:
     """
     keys, solved = problem.keys, problem.solve()
     values = problem.compute_key_values(solved.x)
+    if solved.status == 0:
+        warnings.warn(
+            f"{where}: the fit ended after {MAX_EVALUATIONS} steps before it converged; its values "
+            "are the best of these steps; vary fewer keys, or give narrower ranges",
+            stacklevel=3,
+        )
     described = describe_values(keys, values, solved.jac, solved.fun)
     responses, rows, sizes = [], [], []
     for curve in problem.curves:
@@ -296,7 +312,7 @@ def fit_circuit(problem: CircuitFit, where: str) -> dict[str, Any]:
         "data": where,
         **described,
         "values": problem.name_scene_keys(values),
-        "error": describe_error(np.concatenate(sizes)),
+        "error": compute_error_statistics(np.concatenate(sizes)),
         "curves": rows,
         "noise": float(np.median([curve.data.noise for curve in problem.fitted_curves])),
         "caution": caution,
@@ -318,5 +334,5 @@ def _describe_curve(curve: MeasuredCurve, size: np.ndarray) -> dict[str, Any]:
         "data": Path(curve.data.where).name,
         "set": dict(curve.overrides),
         "predict": curve.predict,
-        **describe_error(size),
+        **compute_error_statistics(size),
     }

@@ -39,7 +39,7 @@ from kc2spice.workflow.fit_keys import (
     read_varied_keys,
     require_key_list,
 )
-from kc2spice.workflow.fit_record import describe_error, describe_values, match_resonances
+from kc2spice.workflow.fit_record import compute_error_statistics, describe_values, match_resonances
 from kc2spice.workflow.misfit import (
     WARNING_MISFIT,
     compute_rms_misfit,
@@ -51,7 +51,10 @@ from kc2spice.workflow.misfit import (
 MAX_MISFIT = 0.5
 # cost of a minimum, relative to the smallest cost, above which the minimum counts as worse
 WORSE_COST_RATIO = 2.0
-UNKNOWN_CAUSE = "the geometry, the mounting, or a loss model that the part does not follow"
+UNKNOWN_CAUSE = (
+    "the geometry, the material constants, the mounting, or a loss model that the part does not "
+    "follow"
+)
 VALUES_FILE = "fit.toml"
 RANGES_FILE = "box.toml"
 PAGE_FILE = "report.html"
@@ -97,9 +100,11 @@ def fit(
         A TOML file with tables ``[[curve]]``, or a list of these tables, contains several curves
         with the keys ``file``, ``set``, ``band`` and ``predict``.
     vary : sequence of str, or mapping of str to pair of floats or None
-        Keys of the body, each with a range: ``KEY=low:high`` in SI units or with units, or in a
-        mapping a pair (low, high) in SI units. The default range is 30 % about the scene's value,
-        or a factor of ten for losses.
+        Keys of the body, each with a range. In a sequence, the string ``KEY=low:high`` states the
+        range of a key in SI units or with units. In a mapping, the pair (low, high) states the
+        range of a key in SI units. By default, a range extends from the scene's value divided by
+        1.3 to the scene's value times 1.3. For losses, the default range extends from a tenth of
+        the scene's value to ten times the scene's value.
     out : Path, optional
         Directory for three files: the fitted values (``fit.toml``), parameter ranges of the netlist
         that extend two standard errors around the values (``box.toml``), and a report page. By
@@ -307,7 +312,7 @@ def _make_record(
         "data": body.data.where,
         **described,
         "values": body.name_scene_keys(end.values),
-        "error": describe_error(np.abs(np.abs(body.Y / end.exact) - 1)),
+        "error": compute_error_statistics(np.abs(np.abs(body.Y / end.exact) - 1)),
         "noise": body.data.noise,
         "caution": caution,
         "resonances": resonances,

@@ -1,8 +1,8 @@
-"""Least-squares fits of body keys, with reduced models and their correction."""
+"""Fits of body keys with reduced models; full models correct the fitted values."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from operator import attrgetter
@@ -15,7 +15,12 @@ from kc2spice.core.errors import UsageError
 from kc2spice.parts.bodies._varied_keys import VariedKey, read_key_values
 from kc2spice.rom.parametric_models import DenseParametricModel, ParameterAxis
 from kc2spice.scene.load import load_scene
-from kc2spice.workflow.body_fit import DIFFERENCE_STEP, BodyFit, ParameterAxes
+from kc2spice.workflow.body_fit import (
+    DIFFERENCE_STEP,
+    BodyFit,
+    FitLimitError,
+    ParameterAxes,
+)
 from kc2spice.workflow.fit_keys import compute_log_widths, is_at_bound
 from kc2spice.workflow.misfit import compute_error_scale
 
@@ -23,14 +28,14 @@ from kc2spice.workflow.misfit import compute_error_scale
 # The first least-squares run begins at the values of the scene.
 RANDOM_SAMPLES = 64
 DESCENT_COUNT = 4
-# Ratio of the widths of a key's parameter ranges in two successive fits, and smallest logarithmic
-# width of a parameter range.
+# Width of a key's parameter range in a repeated fit, divided by its width in the previous fit.
 RANGE_RATIO = 0.25
+# Smallest half-width of the parameter range of a key's natural logarithm.
 MIN_LOG_WIDTH = 0.01
 POLYNOMIAL_DEGREE = 3  # degree of the polynomials over a narrow parameter range
 # largest number of times that the fit is repeated with new, usually narrower ranges of the keys
 RANGE_COUNT = 8
-# largest number of steps that correct a fit with the full model in one parameter range
+# largest number of steps, in one parameter range, by which the full model corrects a fit
 MESH_CORRECTIONS = 4
 # Corrections end when a correction changes all values by less than CONVERGED_CHANGE standard
 # errors.
@@ -97,7 +102,7 @@ class Descent:
         The real parts come before the imaginary parts.
         """
         ratio = np.log(Y / self.body.Y)
-        return np.concatenate([ratio.real, ratio.imag]) / self.body.log_admittance_noise
+        return np.concatenate([ratio.real, ratio.imag]) / self.body.noise_of_log_admittance
 
     def jacobian(self, x: np.ndarray) -> np.ndarray:
         """Return the derivatives of the residuals with respect to logarithms of the keys.
@@ -136,21 +141,43 @@ def run_descents(descent: Descent) -> list[DescentResult]:
     """Run least-squares fits from several start values; return all, best fit first.
 
     In every least-squares fit, each key may take all values of its full range.
+
+    Raises
+    ------
+    UsageError : the fit needs too many finite-element models, or too many admittances.
     """
+    keys = [item.key for item in descent.body.keys]
+    try:
+        _ = descent.reduced_model
+    except FitLimitError as limit:
+        raise UsageError(
+            "the fit varies too many keys",
+            where=descent.body.data.where,
+            got=f"{len(keys)} keys",
+            expected=f"few enough keys for a fit with at most {limit}",
+            hint=f"vary fewer keys: leave out --vary {keys[-1]}",
+        ) from None
     low, high = descent.bounds
     samples = qmc.scale(qmc.Sobol(len(low), seed=1).random(RANDOM_SAMPLES), low, high)
     costs = [float(np.sum(descent.compute_fit_residuals(x) ** 2)) for x in samples]
     best = map(descent.compute_key_values, samples[np.argsort(costs)[: DESCENT_COUNT - 1]])
-    starts = [read_key_values(descent.body.keys), *best]
-    return sorted(map(descent.solve, starts), key=attrgetter("cost"))
+    starts, results = [read_key_values(descent.body.keys), *best], list[DescentResult]()
+    for start in starts:
+        try:
+            results.append(descent.solve(start))
+        except FitLimitError as limit:
+            found = min(results, key=attrgetter("cost")).values if results else starts[1]
+            raise _make_limit_error(descent.body, found, limit) from None
+    return sorted(results, key=attrgetter("cost"))
 
 
 def _correct_end(descent: Descent, end: DescentResult) -> DescentResult | None:
     """Correct the end point of a fit by the full model; None without convergence.
 
     Each correction step uses the derivatives of the reduced model. The steps end when a step
-    changes every combination of keys by less than :data:`CONVERGED_CHANGE` of its standard error.
-    The result is None if the steps do not converge within the range.
+    changes each linear combination of the keys' logarithms by less than :data:`CONVERGED_CHANGE`
+    times the standard error of the combination. The result is None if the steps do not converge
+    within the range.
     """
     body, (low, high) = descent.body, descent.bounds
     x = descent.compute_start_logarithms(end.values)
@@ -179,14 +206,62 @@ def refine_descent_result(descent: Descent, end: DescentResult) -> DescentResult
 
     Raises
     ------
-    UsageError : the values do not converge.
+    UsageError : the values do not converge, or the fit needs too many models.
+    """
+    body = descent.body
+    try:
+        for improved in _improve_result(descent, end):
+            end = improved
+    except FitLimitError as limit:
+        raise _make_limit_error(body, end.values, limit) from None
+    if end.exact.size:
+        return end
+    raise _make_convergence_error(
+        body,
+        end.values,
+        "the fit does not converge",
+        f"changes of the keys below {CONVERGED_CHANGE:g} standard errors after {RANGE_COUNT} "
+        "iterations",
+    )
+
+
+def _make_limit_error(
+    body: BodyFit, values: Mapping[str, float], limit: FitLimitError
+) -> UsageError:
+    """Return the error of a fit that reached a limit, with the best values."""
+    message = f"the fit did not converge within its limit of {limit}"
+    return _make_convergence_error(body, values, message, f"a fit with at most {limit}")
+
+
+def _make_convergence_error(
+    body: BodyFit, values: Mapping[str, float], message: str, expected: str
+) -> UsageError:
+    """Return the error of a fit without convergence, with the best values."""
+    listed = ", ".join(f"{key} = {value:.5g}" for key, value in values.items())
+    hint = "give a narrower range around the best value"
+    if len(values) > 1:
+        hint = f"vary fewer keys: leave out --vary {list(values)[-1]}, or give narrower ranges"
+    return UsageError(
+        message,
+        where=body.data.where,
+        got=f"best values so far, in SI units: {listed}",
+        expected=expected,
+        hint=hint,
+    )
+
+
+def _improve_result(descent: Descent, end: DescentResult) -> Iterator[DescentResult]:
+    """Yield improved results; at convergence, the full model confirms the last result.
+
+    The field ``exact`` of a result is empty until the full model confirms the result.
     """
     body = descent.body
     widths = 0.5 * np.array(compute_log_widths(body.keys)) * RANGE_RATIO
     for _ in range(RANGE_COUNT):
         result = _correct_end(descent, end)
         if result is not None:
-            return result
+            yield result
+            return
         # The scene ``like`` defines the mesh of the fit. ``like`` is loaded again with the latest
         # key values, so that no nodes of the mesh are displaced.
         body = replace(body, like=load_scene(body.scene, body.name_scene_keys(end.values)))
@@ -195,18 +270,12 @@ def refine_descent_result(descent: Descent, end: DescentResult) -> DescentResult
             parameter_axes[item.key] = _narrow_range(item, end.values[item.key], half)
         descent = Descent(body, parameter_axes, POLYNOMIAL_DEGREE)
         end = descent.solve(end.values)
+        yield end
         if not any(
             _is_at_inner_end(item, parameter_axes[item.key], end.values[item.key])
             for item in body.keys
         ):
             widths = np.maximum(RANGE_RATIO * widths, MIN_LOG_WIDTH)
-    raise UsageError(
-        "the fit does not converge",
-        where=body.data.where,
-        got=f"fitted values that still change after {RANGE_COUNT} rounds of corrections",
-        expected=f"changes of less than {CONVERGED_CHANGE:g} standard errors",
-        hint="vary fewer keys, or give narrower ranges",
-    )
 
 
 def _narrow_range(item: VariedKey, value: float, half: float) -> ParameterAxis:
@@ -219,7 +288,7 @@ def _narrow_range(item: VariedKey, value: float, half: float) -> ParameterAxis:
 
 
 def _is_at_inner_end(item: VariedKey, axis: ParameterAxis, value: float) -> bool:
-    """Return whether a value is at an end of its narrow range, inside its full range."""
+    """Return whether a value is at a narrow range's end that is inside its full range."""
     x = axis.compute_coordinate(value)
     end = axis.high if x > 0 else axis.low
     return abs(x) > 1 - 1e-3 and not np.isclose([item.low, item.high], end).any()

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.signal import find_peaks
 
 from kc2spice.core.errors import UsageError
+from kc2spice.core.unit_spelling import find_range_ends
 from kc2spice.parts.bodies._varied_keys import (
     VariedKey,
     make_varied_key,
@@ -102,8 +103,9 @@ def _is_pair_of_numbers(span: object) -> bool:
 
 def _suggest_pair(key: str, span: object) -> str:
     """Return the advice to write the range of a key as two numbers."""
+    ends = find_range_ends(span) if isinstance(span, str) else None
     try:
-        low, high = map(float, span)  # type: ignore[call-overload]
+        low, high = map(float, ends or span)  # type: ignore[call-overload]
     except (TypeError, ValueError):
         low, high = math.nan, math.nan
     if math.isfinite(low) and math.isfinite(high):
@@ -115,12 +117,15 @@ def _parse_range(key: str, text: str, unit: str) -> tuple[float, float]:
     """Parse the range of a key from text such as ``LOW:HIGH``, in an SI unit."""
     ends = text.split(":")
     if len(ends) != 2:
+        dotted = find_range_ends(text)
         raise UsageError(
             "this text is not a range",
             where=key,
             got=text,
             expected="LOW:HIGH, in SI units or with units",
-            hint=f"write {key}=LOW:HIGH, two numbers with a colon between them",
+            hint=f"write {key}={':'.join(dotted)}"
+            if dotted
+            else f"write {key}=LOW:HIGH, two numbers with a colon between them",
         )
     require_equal_unit_use(ends, text, key, unit)
     low, high = (parse_value(end, unit, key) for end in ends)

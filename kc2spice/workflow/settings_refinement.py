@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 import tempfile
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from operator import attrgetter
@@ -45,7 +45,7 @@ from kc2spice.workflow.simulation import (
     simulate_deck,
 )
 
-# Largest number of unknowns of a refined mesh; larger meshes take more than minutes of CPU time.
+# Largest number of unknowns of a refined mesh. Larger meshes would take many minutes of CPU time.
 MAX_MESH_UNKNOWNS = 200_000
 # Fraction of the free memory for one factorised matrix; other matrices and modes need the rest.
 MEMORY_SHARE = 0.5
@@ -53,6 +53,7 @@ MEMORY_SHARE = 0.5
 # The factorised matrix for 145 000 unknowns took 0.2 GB.
 PLANE_FACTOR_BYTES = 100.0
 MAX_RUNS = 16  # largest number of runs in addition to the run of the scene
+LONG_REFINEMENT = 30.0  # s, expected time of all refined runs that is printed before the first one
 DEFAULT_ERROR_LIMIT = 1e-2  # error budget if checks.reduction is set without error_budget
 # Assumption: each refinement step removes at least half of the error of a setting.
 # Even on bodies with sharp corners, each refinement step of the mesh halves the error.
@@ -61,7 +62,8 @@ REMAINDER_FACTOR = 2.0
 # assumption: largest factor by which one refinement step reduces the error of a setting
 MAX_STEP_GAIN = 4.0
 MAX_ADDED_STEPS = 3  # largest number of steps by which a setting is refined between two runs
-# The change of a metric is divided by at least this share of the largest metric with its unit.
+# The divisor of a metric's relative change is at least this share of the largest metric that has
+# the same unit.
 NEAR_ZERO_SHARE = 0.1
 # SMALL_SIGNAL_SHARE replaces NEAR_ZERO_SHARE in small-signal analyses.
 SMALL_SIGNAL_SHARE = 1e-6
@@ -108,7 +110,7 @@ class RefinedRuns:
         """
         build, settings = self.start.build, refine_settings(self.all_settings, steps)
         if repr(settings) not in self.run_cache:
-            self.require_mesh_size(steps)
+            self.require_mesh_within_limits(steps)
             self.run_cache[repr(settings)] = evaluate_scene(
                 load_scene(build.scene, settings),
                 self.clock,
@@ -129,7 +131,7 @@ class RefinedRuns:
         """Largest number of unknowns, and largest memory [B], of a refined mesh."""
         return MAX_MESH_UNKNOWNS, MEMORY_SHARE * find_available_bytes()
 
-    def require_mesh_size(self, steps: RefinementSteps) -> None:
+    def require_mesh_within_limits(self, steps: RefinementSteps) -> None:
         """Raise an error if a refined mesh would exceed the size limits.
 
         The limits of unknowns and memory are :attr:`mesh_limits`. The size of each mesh is
@@ -145,9 +147,8 @@ class RefinedRuns:
                 continue
             assert isinstance(part.type, MeshedBody)
             dimensions = part.type.dimensions(part)
-            grown = (
-                setting.refine_keys(steps[setting.name])[setting.name] / setting.value
-            ) ** dimensions
+            refined = setting.refine_keys(steps[setting.name])[setting.name]
+            grown = part.type.estimate_mesh_growth(part, setting.value, refined)
             unknowns = grown * self.start.build.get_model_values(part)["unknowns"]
             need = estimate_factor_bytes(unknowns, dimensions)
             most, memory = self.mesh_limits
@@ -172,7 +173,7 @@ class RefinedRuns:
 
     @property
     def has_runs_left(self) -> bool:
-        """Whether the number of runs allows a further run."""
+        """Whether the largest number of runs permits another run."""
         return len(self.run_cache) <= self.most
 
     def find_largest_mesh_error(self, names: Sequence[str], run: Run) -> float:
@@ -222,8 +223,11 @@ def evaluate_scene(
     Raises the errors of :func:`kc2spice.workflow.simulation.simulate_deck`.
     """
     build, deck = prepare_deck(scene, clock, trust=trust, functions=functions)
-    with clock.time_stage("refined run", text), tempfile.TemporaryDirectory() as folder:
-        return simulate_deck(build, deck, Path(folder), retries=retries)
+    with (
+        clock.time_stage("refined run", text) as share,
+        tempfile.TemporaryDirectory() as folder,
+    ):
+        return simulate_deck(build, deck, Path(folder), retries=retries, progress=share)
 
 
 def repeat_timing(run: Run) -> float:
@@ -359,10 +363,8 @@ def converge_to_budget(start: Run, clock: StageTimer) -> ConvergedRun | None:
     runs = RefinedRuns(
         start, find_numerical_settings(start.build), clock, finest=find_finest_settings(start.build)
     )
-    if any(map(attrgetter("mesh"), runs.refinable)):
-        most, memory = runs.mesh_limits
-        text = f"meshes are refined up to {_format_size(most, memory)} of memory"
-        clock.progress(ERROR_BUDGET, None, text)
+    if limits := list(_describe_limits(runs)):
+        clock.progress(ERROR_BUDGET, None, "; ".join(limits))
     tried: list[RunEstimate] = []
     shares: dict[str, float] = {}
     steps: RefinementSteps = {}
@@ -391,7 +393,7 @@ def converge_to_budget(start: Run, clock: StageTimer) -> ConvergedRun | None:
             why = (
                 "nothing more to refine"
                 if runs.has_runs_left
-                else f"the budget is not met after {MAX_RUNS} runs"
+                else f"the error budget is not met after {MAX_RUNS} runs"
             )
             break
         steps = moved
@@ -412,6 +414,21 @@ def converge_to_budget(start: Run, clock: StageTimer) -> ConvergedRun | None:
     return ConvergedRun(final, check, tried, shares, runs.mesh_limits)
 
 
+def _describe_limits(runs: RefinedRuns) -> Iterator[str]:
+    """Yield the limits of a refinement: of meshes, and of runs if they take long."""
+    if any(map(attrgetter("mesh"), runs.refinable)):
+        most, memory = runs.mesh_limits
+        yield f"meshes are refined up to {_format_size(most, memory)} of memory"
+    # all settings are refined together, then each setting alone; a finer run takes twice as long
+    elapsed = sum(runs.clock.wall_s.values())
+    expected = 2 * elapsed * (1 + len(runs.refinable))
+    if expected > LONG_REFINEMENT:
+        yield (
+            f"at most {MAX_RUNS} refined runs follow, which probably take more than "
+            f"{expected:.0f} s"
+        )
+
+
 def _explain_finest_settings(runs: RefinedRuns, now: RunEstimate) -> str:
     """Explain why numerical settings, such as mesh sizes, cannot be refined further.
 
@@ -428,8 +445,8 @@ def estimate_errors(runs: RefinedRuns, steps: RefinementSteps) -> RunEstimate | 
     ``steps`` are the refinement steps of the run. The result is None if no refined run succeeds. In
     the refined run, all settings are one step finer. If the refined meshes are too large for the
     machine, the meshes remain unchanged. The error of settings at their finest value is estimated
-    from coarser runs (:func:`estimate_by_coarser_runs`). Runs with an ``error_budget`` and the
-    command ``bench`` report the returned error estimate.
+    from coarser runs (:func:`estimate_by_coarser_runs`). The command ``bench``, and runs of scenes
+    with an ``error_budget``, report the returned error estimate.
     """
     now = runs.get_refined_run(steps)
     finest = tuple(map(attrgetter("name"), runs.finest))
@@ -442,7 +459,7 @@ def estimate_errors(runs: RefinedRuns, steps: RefinementSteps) -> RunEstimate | 
         if finer is not None:
             settings = refine_settings(runs.refinable, steps)
             errors = _estimate_metric_errors(now, finer)
-            # errors of settings that the refined run does not change
+            # errors due to settings that have equal values in the run and in the refined run
             left = estimate_by_coarser_runs(runs, steps, unmoved, errors)
             fixed = max(left.values(), default=0.0)
             errors = {name: error + left[name] for name, error in errors.items()}
@@ -457,8 +474,9 @@ def estimate_by_coarser_runs(
 
     ``unmoved`` contains the names of the settings that cannot be refined further. The estimate is
     the larger of two values: the error estimate of a body's mesh, and the change of the metric in a
-    run with a coarser setting. A refinement step at least halves an error, so that the change is
-    not less than the remaining error.
+    run with a coarser setting. Each refinement step at least halves the error due to a setting. The
+    change of a metric between the coarser run and the present run is therefore at least the
+    remaining error.
     """
     now = runs.get_refined_run(steps)
     result = dict.fromkeys(metrics, runs.find_largest_mesh_error(unmoved, now))

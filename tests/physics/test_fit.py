@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.special import jv
-from support import MeasuredAdmittance, app, compute_modal_transfer
+from support import MeasuredAdmittance, app, body_fit, compute_modal_transfer
 
 import kc2spice as kc
 
@@ -141,8 +141,8 @@ def disc_data(noise=0.005, **losses):
 
 
 CAUSES = {
-    "ieee176": r'complex constants of IEEE 176: set damping.model = "ieee176"',
-    "tangent": r"loss of the dielectric: vary damping.loss_tangent",
+    "ieee176": r'complex material constants \(IEEE 176\): set damping.model = "ieee176"',
+    "tangent": r"dielectric loss: vary damping.loss_tangent",
     "rayleigh": r'viscous damping: set damping.model = "rayleigh"',
 }
 
@@ -272,3 +272,39 @@ def test_other_parts_and_several_ports_are_refused():
     two = MeasuredAdmittance("two", "two.s2p", data.f, np.tile(np.eye(2), (len(data.f), 1, 1)))
     with pytest.raises(kc.errors.UsageError, match="impedance of a part with one port"):
         kc.fit(BUZZER, "disc", two, ["layers[0].thickness"])
+
+
+@pytest.mark.parametrize(
+    ("limit", "most", "message"),
+    [
+        ("MAX_MODELS", 7, "did not converge within its limit"),
+        ("MAX_MODELS", 3, "varies too many keys"),
+        ("MAX_REDUCED_ADMITTANCES", 100, "did not converge within its limit"),
+    ],
+)
+def test_a_fit_that_reaches_a_limit_ends(monkeypatch, limit, most, message):
+    """Seven models are enough for the reduced model of one key, but not for its correction; 64 of
+    the 100 admittances are those of random samples."""
+    monkeypatch.setattr(body_fit, limit, most)
+    true = {"layers[0].thickness": 0.115e-3}
+    data = measured(BUZZER, "disc", true, (2e3, 9e3), 0.001, 3)
+    with pytest.raises(kc.errors.UsageError, match=message) as caught:
+        kc.fit(BUZZER, "disc", data, ["layers[0].thickness"])
+    assert str(most) in caught.value.expected
+    if message == "did not converge within its limit":
+        best = float(caught.value.got.rpartition(" = ")[2])
+        assert best == pytest.approx(true["layers[0].thickness"], rel=0.05)
+
+
+@pytest.mark.slow
+def test_a_wrong_stiffness_of_a_material_is_a_likely_cause():
+    layers = kc.load_scene(BUZZER).tables["disc"]["layers"]
+    layers = [{**layer, "material": {"like": layer["material"]}} for layer in layers]
+    scene = kc.load_scene(BUZZER, {"disc.layers": layers})
+    key = "layers[0].material.youngs_modulus"
+    data = measured(scene, "disc", {key: 115e9}, (2e3, 30e3), 0.002, 5)
+    with pytest.warns(UserWarning, match="likely cause: stiffer materials or different dimensions"):
+        kc.fit(scene, "disc", data, ["damping.quality"])
+    found = kc.fit(scene, "disc", data, ["damping.quality", key])
+    assert found["caution"] is None
+    assert found["values"][f"disc.{key}"] == pytest.approx(115e9, rel=0.01)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from support import MeasuredAdmittance
+from support import MeasuredAdmittance, circuit_fit
 
 import kc2spice as kc
 
@@ -145,3 +145,9 @@ def test_several_curves_of_a_finite_element_body_are_fitted():
     data = MeasuredAdmittance("d", "d.csv", f, 2j * np.pi * f[:, None, None] * model.transfer(f))
     result = kc.fit(tables, "disc", [{"file": data}], ["damping.quality"])
     assert result["values"]["disc.damping.quality"] == pytest.approx(45.0, rel=1e-3)
+
+
+def test_a_fit_without_convergence_is_a_warning(monkeypatch):
+    monkeypatch.setattr(circuit_fit, "MAX_EVALUATIONS", 2)
+    with pytest.warns(UserWarning, match="ended after 2 steps before it converged"):
+        kc.fit(scene(), "woofer", measure(0.0), {"re": (5, 7), "fs": (40, 50)})

@@ -4,7 +4,14 @@ import warnings
 
 import numpy as np
 import pytest
-from support import ERROR_BUDGET, OutputRecipient, StageTimer, list_mesh_errors, settings_refinement
+from support import (
+    ERROR_BUDGET,
+    OutputRecipient,
+    StageTimer,
+    list_mesh_errors,
+    run_scene,
+    settings_refinement,
+)
 
 import kc2spice as kc
 
@@ -59,7 +66,7 @@ def test_an_unreachable_budget_is_reported():
     coarse = {"solver.reltol": 0.3, "solver.max_step": "20 us"}
     _, found, said = judged(LOWPASS, coarse, 1e-13, "late_v", 1.0)
     assert not found["held"]
-    assert any("limit 1e-13" in each for each in said)
+    assert any("limit 1e-11 %" in each for each in said)
 
 
 SMALL = {
@@ -165,3 +172,17 @@ def test_limits_of_meshes_are_printed_outside_of_a_terminal(capsys, as_json, qui
         progress("reduce", 0.5, "reduction of disc")
     said = "error budget: meshes are refined up to 1 000 unknowns\n"
     assert capsys.readouterr().err == ("" if as_json or quiet else said)
+
+
+@pytest.mark.parametrize(("limit", "printed"), [(0.0, True), (1e6, False)])
+def test_a_long_refinement_is_stated_before_its_runs(tmp_path, monkeypatch, limit, printed):
+    monkeypatch.setattr(settings_refinement, "LONG_REFINEMENT", limit)
+    seen = []
+    scene = kc.load_scene("duffing", {"error_budget": 0.1})
+    run_scene(scene, tmp_path / "out", progress=lambda *item: seen.append(item))
+    stages = [stage for stage, *_ in seen]
+    assert (ERROR_BUDGET in stages) is printed
+    if printed:
+        assert stages.index(ERROR_BUDGET) < stages.index("refined run")
+        text = seen[stages.index(ERROR_BUDGET)][2]
+        assert text.startswith("at most 16 refined runs follow, which probably take more than")

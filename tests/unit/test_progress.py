@@ -6,7 +6,14 @@ import mor_families as families
 import numpy as np
 import pytest
 from scipy import sparse
-from support import ConvergenceTimer, StageTimer, StepTimer, follow_stage, progress
+from support import (
+    ConvergenceTimer,
+    OutputRecipient,
+    StageTimer,
+    StepTimer,
+    follow_stage,
+    progress,
+)
 
 import kc2spice as kc
 
@@ -16,6 +23,7 @@ def clock(monkeypatch):
     """Clock that a test sets: a list whose only entry is the time [s]."""
     now = [0.0]
     monkeypatch.setattr(progress.time, "perf_counter", lambda: now[0])
+    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
     return now
 
 
@@ -85,3 +93,18 @@ def test_outside_of_a_stage_nothing_is_reported(reports):
     progress.report_remaining_time(3.0, "block")
     assert reports == [("reduce", None, "chain")]
     assert np.all([done is None for _, done, _ in reports])
+
+
+@pytest.mark.parametrize(
+    ("seconds", "printed"),
+    [(1.0, ""), (8.0, "simulate: ngspice, about 1:12 left\n")],
+    ids=["short", "long"],
+)
+def test_piped_output_contains_one_line_about_a_long_stage(clock, capsys, seconds, printed):
+    """A tenth of the stage takes 1 or 8 s: 9 or 72 s remain."""
+    with OutputRecipient(as_json=False, quiet=False).open_progress_display() as report:
+        report("simulate", None, "ngspice")
+        for k in range(1, 10):
+            clock[0] += seconds
+            report("simulate", k / 10, "ngspice")
+    assert capsys.readouterr().err == printed
