@@ -18,7 +18,7 @@ from kc2spice.reference.system import PlacedDevice, System
 
 
 class Interval:
-    """Equations of a system in the time interval between two events.
+    """Time interval between two events, with the equations that hold during it.
 
     The equations are ``d/dt g(t, z) = f(t, z)``, and each device stays in its mode in ``modes``. In
     the whole interval, each source follows one smooth piece of its waveform: the piece that
@@ -51,7 +51,9 @@ class Interval:
         """
         return np.concatenate((z, self.system.evaluate_source_derivatives(t, self.within)))
 
-    def compute_waves(self, t: np.ndarray, z: np.ndarray, r: np.ndarray) -> dict[str, np.ndarray]:
+    def compute_waveforms(
+        self, t: np.ndarray, z: np.ndarray, r: np.ndarray
+    ) -> dict[str, np.ndarray]:
         """Compute all waveforms at the times ``t``, keyed by name.
 
         ``z`` contains the unknowns, and ``r`` contains the rates of the unknowns. ``z`` and ``r``
@@ -111,7 +113,7 @@ class Interval:
                 )
         return f, g
 
-    def compute_slopes(self, t: float, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def compute_jacobians(self, t: float, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the Jacobians of stored quantities g and right-hand sides f, each (n, n)."""
         n, X = self.system.size, self.append_sources(t, z)
         M, J = self.system.G[:, :n], self.F[:, :n]
@@ -147,7 +149,7 @@ class Interval:
         z, tangents = z.copy(), LimitedTangents()
         for _ in range(30 if algebraic.any() else 0):
             now, limited = tangents.linearise_limited_laws(self, t, z)
-            J = now.compute_slopes(t, z)[1][np.ix_(rows, algebraic)]
+            J = now.compute_jacobians(t, z)[1][np.ix_(rows, algebraic)]
             change = np.linalg.lstsq(J, -now.evaluate_equations(t, z)[1][rows], rcond=1e-14)[0]
             z[algebraic] += change
             small = np.abs(change).max() < 1e-12 * (1 + np.abs(z[algebraic]).max())
@@ -174,19 +176,19 @@ class _LinearisedLaw(Device):
         return self.law.across_inputs
 
     def evaluate(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Return the outputs of the linearised law, and their derivatives."""
+        """Return outputs of the linearised law, with derivatives for all inputs."""
         out, slope = self.law.evaluate(self.point, mode)
         return out + slope @ (e - self.point), slope
 
     def evaluate_storage(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Return the linearised stored quantities, and their derivatives."""
+        """Return linearised stored quantities, with derivatives for all inputs."""
         stored, slope = self.law.evaluate_storage(self.point, mode)
         return stored + slope @ (e - self.point), slope
 
 
 @dataclass(frozen=True, eq=False)
 class LimitedTangents:
-    """Linearised laws of devices whose inputs change by a limited Newton step.
+    """Tangents of device laws, at points that move only by limited Newton steps.
 
     Newton's method linearises most laws at the last iterate. A law that overrides
     :meth:`Device.limit_change`, such as a diode, is linearised at inputs between the previous
@@ -270,7 +272,7 @@ def solve_operating_point(system: System) -> dict[str, float]:
     ------
     SimulationError : a part has no support, or the search for an equilibrium does not converge.
     """
-    return _compute_waves(system, *find_equilibrium(system))
+    return _compute_waveform_values(system, *find_equilibrium(system))
 
 
 def solve_dc(system: System, source: str, values: np.ndarray) -> dict[str, np.ndarray]:
@@ -284,14 +286,14 @@ def solve_dc(system: System, source: str, values: np.ndarray) -> dict[str, np.nd
     for value in np.asarray(values, dtype=float):
         system_at_value = _fix_sources(system, {source: value})
         z, modes = find_equilibrium(system_at_value, z)
-        result.append(_compute_waves(system_at_value, z, modes))
+        result.append(_compute_waveform_values(system_at_value, z, modes))
     columns = zip(*map(dict.values, result), strict=True)
     swept = dict(zip(result[0], map(np.array, columns), strict=True))
     return {"sweep": np.asarray(values, dtype=float)} | swept
 
 
 def _fix_sources(system: System, values: dict[str, float]) -> System:
-    """Return a system with constant sources.
+    """Fix each source of a system at a constant value, and return the new system.
 
     ``values`` contains the values of sources by name. The value of any other source is its value at
     t = 0.
@@ -303,10 +305,10 @@ def _fix_sources(system: System, values: dict[str, float]) -> System:
     return replace(system, sources=tuple(sources))
 
 
-def _compute_waves(system: System, z: np.ndarray, modes: list[Any]) -> dict[str, float]:
+def _compute_waveform_values(system: System, z: np.ndarray, modes: list[Any]) -> dict[str, float]:
     """Compute the values of all waveforms in the equilibrium ``z``, keyed by name."""
     interval, t = Interval(_fix_sources(system, {}), modes, 0.0), np.zeros(1)
-    waves = interval.compute_waves(t, z[:, None], np.zeros((z.size, 1)))
+    waves = interval.compute_waveforms(t, z[:, None], np.zeros((z.size, 1)))
     return {name: float(wave[0]) for name, wave in waves.items()}
 
 
@@ -336,7 +338,7 @@ class _StaticEquations:
         The residual has the shape (n,), and the Jacobian has the shape (n, n). The forces that
         enforce the initial values are not included.
         """
-        return interval.evaluate_equations(0.0, z)[1], interval.compute_slopes(0.0, z)[1]
+        return interval.evaluate_equations(0.0, z)[1], interval.compute_jacobians(0.0, z)[1]
 
 
 def find_equilibrium(
@@ -356,7 +358,7 @@ def find_equilibrium(
     friction, forces, moved = np.zeros((n, n)), system.velocity, system.moved
     # without masses, the equation of a net's displacement is the force balance of the net
     if guess is not None and not moved.size:
-        forces = moved = _find_net_displacements(system)
+        forces = moved = _find_displacement_unknowns(system)
     friction[forces, moved] = 1.0
     # A guess is usually close to the equilibrium, so Newton's method without friction is tried
     # first. If Newton's method fails, the steps follow an overdamped motion.
@@ -398,8 +400,8 @@ def find_equilibrium(
     )
 
 
-def _find_net_displacements(system: System) -> np.ndarray:
-    """Return the indices of the unknowns that determine the displacements of nets."""
+def _find_displacement_unknowns(system: System) -> np.ndarray:
+    """Find the indices of the unknowns that determine the displacements of nets."""
     names = np.array(system.names)
     moving = np.isin(np.char.add(names, ".rate"), names)
     return np.flatnonzero((system.now[moving, : system.size] != 0.0).any(axis=0))
@@ -423,7 +425,10 @@ def _compute_newton_step(
         null_vectors = u[:, rank:]
         conserved = (null_vectors[:n] / size[:n, None]).T
         inconsistent = np.abs(null_vectors.T @ right) > 1e-9 * np.abs(right).max(initial=1e-300)
-        stored, slope = interval.evaluate_equations(0.0, z)[0], interval.compute_slopes(0.0, z)[0]
+        stored, slope = (
+            interval.evaluate_equations(0.0, z)[0],
+            interval.compute_jacobians(0.0, z)[0],
+        )
         charge_rows = np.hstack((conserved @ slope, np.zeros((len(conserved), m))))
         charge_residual = -conserved @ stored
         level = np.maximum(np.abs(charge_rows).max(axis=1), 1e-300)

@@ -190,7 +190,7 @@ def integrate_steps(
     unknowns = np.array(states)
     rates = np.gradient(unknowns.T, time, axis=1).T
     points = zip(intervals, time[:, None], unknowns[:, :, None], rates[:, :, None], strict=True)
-    waves = join_waves(list(starmap(Interval.compute_waves, points)))
+    waves = join_waves(list(starmap(Interval.compute_waveforms, points)))
     for _, law in march.others:
         for k in law.storing_flow_indices:
             waves.pop(f"{law.name}.{law.flows[k].pin}.through", None)
@@ -258,7 +258,7 @@ class _StepIntegrator:
         for count in range(MAX_ITERATIONS):
             interval, limited = tangents.linearise_limited_laws(self.make_interval(t), t, z)
             g, f = interval.evaluate_equations(t, z)
-            M, J = interval.compute_slopes(t, z)
+            M, J = interval.compute_jacobians(t, z)
             J = J - self.rate * M
             size = np.abs(J).max(axis=1)
             right = self.rate * (g - stored) - f

@@ -149,7 +149,7 @@ class Radau:
 
     def _linearise(self) -> None:
         """Linearise the equations: compute Jacobians at the current time and unknowns."""
-        self.M, self.J = self.interval.compute_slopes(self.t, self.z)
+        self.M, self.J = self.interval.compute_jacobians(self.t, self.z)
         self.h_lu, self.lu = 0.0, tuple[Any, ...]()
         # rounding error of a Newton correction, relative to the tolerance
         self.rounding = 0.0
@@ -378,7 +378,9 @@ class Trajectory:
                 step, times = segment.steps[j], t[at == j]
                 states.append(step.interpolate_states(times))
                 rates.append(step.compute_derivatives(times))
-            result.append(segment.interval.compute_waves(t, np.hstack(states), np.hstack(rates)))
+            result.append(
+                segment.interval.compute_waveforms(t, np.hstack(states), np.hstack(rates))
+            )
         return {"time": self.time, **join_waves(result)}
 
     @cached_property
@@ -582,7 +584,7 @@ def _sum_energies(system: System, segment: Segment) -> tuple[list[float], list[f
     z, r = map(np.hstack, zip(*map(Step.evaluate_stages, steps), strict=True))
     X = interval.append_sources(t, z)
     supplied, lost = [], []
-    waves = interval.compute_waves(t, z, r) if system.sources else {}
+    waves = interval.compute_waveforms(t, z, r) if system.sources else {}
     for source in system.sources:
         if not source.sets_signal:
             name, suffix = source.name, ".rate" if source.domain.has_position else ""

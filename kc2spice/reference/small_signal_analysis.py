@@ -243,7 +243,7 @@ class LinearisedSystem:
             if np.abs(free).max(initial=0.0) > _MAX_RIGID_EFFECT * scale or moving:
                 return None
         level = self.C0[:, : n + k] @ np.concatenate([static_solution, s0]) + self.system.constant
-        static_gains, slope_responses = self._compute_line_responses(motion, rates, shapes, drives)
+        static_gains, slope_responses = self._compute_ramp_responses(motion, rates, shapes, drives)
         return Modes(
             rates,
             out,
@@ -255,10 +255,10 @@ class LinearisedSystem:
             slope_responses,
         )
 
-    def _compute_line_responses(
+    def _compute_ramp_responses(
         self, motion: _FreeMotion, rates: np.ndarray, shapes: np.ndarray, drives: list[np.ndarray]
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return each output's responses to the value and to the slope of a linear ramp.
+        """Compute each output's responses to the value and to the slope of a linear ramp.
 
         If a source u is a linear ramp, an output is ``gain u + response du/dt``. The returned
         arrays ``gain`` and ``response`` have one row for each source and one column for each of the
@@ -286,11 +286,13 @@ class LinearisedSystem:
         slope_responses = slope_responses + self.C1[:, :n] @ slope + self.C1[:, n : n + k]
         return static_gains.T, slope_responses.T
 
-    def solve_motion(self, waves: tuple[Function, ...], stop: float) -> ExponentialSolution | None:
-        """Compute the exact transient solution up to ``stop`` [s] for the given waveforms.
+    def compute_transient_solution(
+        self, waves: tuple[Function, ...], stop: float
+    ) -> ExponentialSolution | None:
+        """Compute the exact transient solution of the linearised circuit up to ``stop``.
 
-        ``waves`` contains the waveform of each source. The result is None if a waveform is neither
-        piecewise linear nor a sine, or if :attr:`modes` is None.
+        ``stop`` is the end time [s]. ``waves`` contains the waveform of each source. The result is
+        None if a waveform is neither piecewise linear nor a sine, or if :attr:`modes` is None.
         """
         modes = self.modes
         if modes is None:
@@ -344,10 +346,10 @@ def _decompose_motion(F: np.ndarray) -> tuple[Any, np.ndarray, np.ndarray, np.nd
 
 
 def _sort_by_rate(F: np.ndarray, limit: float) -> tuple[np.ndarray, np.ndarray, int]:
-    """Return the Schur form and Schur vectors of F, and the number of fast rates.
+    """Sort the Schur form of F by rate: eigenvalues of size above ``limit`` first.
 
-    The fast rates are the eigenvalues of ``F`` with magnitudes above ``limit``. In the Schur form,
-    the fast rates come first. The second result contains the Schur vectors.
+    The rates [1/s] are the eigenvalues of ``F``. Return the sorted Schur form, the Schur vectors,
+    and the number of eigenvalues with magnitudes above ``limit``.
     """
     T, Q, k = sla.schur(F.astype(complex), "complex", sort=lambda rate: abs(rate) > limit)
     return T, Q, k
@@ -495,11 +497,12 @@ class ExponentialSolution:
         return y
 
     def _list_intervals(self, moved: np.ndarray) -> list[tuple[float, float, np.ndarray]]:
-        """List start, end and mode amplitudes of each interval between source corners.
+        """List the intervals between kinks of the source waveforms, with mode amplitudes.
 
-        ``moved`` (m,) [1/s] contains the poles of all modes in the exact or in a numerical
-        solution. Within an interval, the amplitude of mode k with the pole ``moved[k]`` is
-        proportional to ``exp(moved[k] * t)``.
+        Each entry contains the start [s] and the end [s] of an interval, and the amplitudes (m,) of
+        all modes at the start. ``moved`` (m,) [1/s] contains the poles of all modes in the exact or
+        in a numerical solution. Within an interval, the amplitude of mode k with the pole
+        ``moved[k]`` is proportional to ``exp(moved[k] * t)``.
         """
         poles, drive = self.modes.rates, self.modes.drive
         amplitude_jumps: dict[float, np.ndarray] = {0.0: self.modes.start.astype(complex)}

@@ -9,8 +9,8 @@ rate of a charge, and a force the rate of a momentum::
     d/dt g = f,    g = G X + stores of devices,    f = F X + const + outputs of devices
 
 The vector X of length N consists of the unknowns z, the values s of the sources, and the time
-derivatives s' of these values. The stores of a nonlinear device are its stored quantities, and the
-outputs of the device are its flows, the rates of its states, and its signals.
+derivatives s' of these values. The stores of a nonlinear device are its stored quantities. The
+outputs of a nonlinear device are its flows, its signals, and the time derivatives of its states.
 """
 
 from __future__ import annotations
@@ -30,6 +30,9 @@ from kc2spice.core.domains import ACCELERATION
 from kc2spice.core.errors import UsageError
 
 MICRO = 1e-6  # typical displacement [m], the unit of scaled displacements
+# Largest sum of terms that cancel, divided by the sum of their magnitudes. A sum of ten terms has a
+# rounding error of about 1e-15.
+CANCELLED_STORAGE = 1e-13
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,10 +68,10 @@ class PlacedDevice:
 
 @dataclass(frozen=True, eq=False)
 class InitialValue:
-    """Initial value and rate of change of a law's input, as equations of unknowns.
+    """Initial value and rate of change of a law's input, as linear equations.
 
-    At the start, the unknowns X fulfil ``row @ X = value`` for the initial value, and ``rate @ X =
-    speed`` for the initial rate of change.
+    With the unknowns X at t = 0, the value of the input is ``row @ X = value``, and the rate of
+    change of the input is ``rate @ X = speed``.
     """
 
     row: np.ndarray
@@ -135,7 +138,7 @@ class System:
 def assemble_system(
     laws: Iterable[L.Law], joins: Mapping[str, Iterable[str]], max_unknowns: int | None = None
 ) -> System:
-    """Assemble the equations of a circuit: laws whose pins are joined at nets.
+    """Assemble the equations of a circuit from the laws of its parts and its nets.
 
     ``joins`` maps the name of each net to the pins ``NAME.pin`` of the net. All pins of a net have
     the same kind, such as electrical or mechanical. The net ``gnd`` is the reference node for every
@@ -316,7 +319,7 @@ class _Assembly:
             self.moving += np.outer(form[: self.nq], form[: self.nq])
         return row
 
-    def add_energy(self, kind: str, rows: np.ndarray, weight: Any) -> None:
+    def add_quadratic_form(self, kind: str, rows: np.ndarray, weight: Any) -> None:
         """Add a quadratic form of the unknowns to the stored energy or to the lost power.
 
         The quadratic form is ``y' weight y``, where ``y = rows @ raw`` are linear forms of the
@@ -404,7 +407,7 @@ class _Assembly:
         p, d, w = Nq.shape[1], int(moving.sum()), Nv.shape[1]
         others = n - 2 * nq - len(self.node)
         # A circuit that contains only sources and resistors has no unknowns.
-        # An additional constant unknown avoids a special case in the solvers.
+        # An additional unknown with the value zero avoids a special case in the solvers.
         size = max(p + d + w + others, 1)
         T, W = np.zeros((n, size)), np.zeros((n, size))
         inertia = np.einsum("ij,ik,kj->j", Nq, mass, Nq)
@@ -425,6 +428,8 @@ class _Assembly:
         Ts, Td = np.zeros((n, len(self.sources))), np.zeros((n, len(self.sources)))
         Ts[:nq], Ts[vol], Td[vel] = Rq, Rv, Rq
         A, M = W.T @ self.A @ T, W.T @ self.M @ T
+        # Unknowns in the null space of M are algebraic, so their entries must be exactly zero.
+        M[np.abs(M) <= CANCELLED_STORAGE * (np.abs(W).T @ np.abs(self.M) @ np.abs(T))] = 0.0
         # The rate of each displacement p is ``p' = speed * v``, with the scaled velocity v.
         for k, j in enumerate(cols):
             M[j, j], A[j, p + k] = 1.0, speed[j]
@@ -480,8 +485,9 @@ class _Assembly:
         """Make the matrices that compute all waveforms from the solution.
 
         The waveforms are across quantities ``NAME.pin``, through quantities ``NAME.pin.through``
-        and states ``NAME.state``. Mechanical pins also have a wave ``NAME.pin.rate``. The force or
-        current of a source is the residual of the balances before the elimination of constraints.
+        and states ``NAME.state``. Mechanical pins also have a waveform ``NAME.pin.rate`` of the
+        velocity. The force or current of a source is the residual of the balances before the
+        elimination of constraints.
         """
         size, sources = expansion.shape[1], len(self.sources)
         rows: dict[str, tuple[Any, Any, Any, float]] = {}
@@ -537,7 +543,7 @@ def _stack_rows(rows: Iterable[Any], width: int) -> np.ndarray:
 
 
 def _separate_columns(basis: np.ndarray, pattern: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rotate a basis so that some columns are in the null space of ``pattern``.
+    """Rotate a basis to separate columns in the null space of the matrix ``pattern``.
 
     The matrix ``pattern`` is positive semidefinite. The rotation moves as many basis columns as
     possible into the null space of ``pattern``. Return the rotated basis, and a mask of the basis
@@ -548,10 +554,16 @@ def _separate_columns(basis: np.ndarray, pattern: np.ndarray) -> tuple[np.ndarra
     level = np.sqrt(np.maximum(np.diag(reduced), 0.0))
     active = level > 0.0
     scaled = reduced[np.ix_(active, active)] / np.outer(level[active], level[active])
-    if active.any() and np.linalg.eigvalsh(scaled)[0] < 1e-10:
-        values, vectors = sla.eigh(reduced)
-        return basis @ vectors, values > 1e-12 * values[-1]
-    return basis, active
+    if not active.any() or np.linalg.eigvalsh(scaled)[0] >= 1e-10:
+        return basis, active
+    # The scaled matrix has a unit diagonal, so a small capacitance beside a large one is no
+    # rounding error.
+    values, vectors = sla.eigh(scaled)
+    vectors = vectors / level[active][:, None]
+    rotated, separate = basis.copy(), active.copy()
+    rotated[:, active] = basis[:, active] @ (vectors / np.linalg.norm(vectors, axis=0))
+    separate[active] = values > 1e-10
+    return rotated, separate
 
 
 # --- contributions of the laws to the equations ---------------------------------------------------
@@ -606,7 +618,7 @@ def _add_body(law: L.SecondOrderBody, into: _Assembly) -> None:
             for j, form in acceleration_forms.items():
                 into.A[at] -= D[k, j] * form
             into.flows[f"{law.name}.{port.name}"] = (force, np.zeros(n), 0.0)
-            into.add_energy(
+            into.add_quadratic_form(
                 *(
                     ("dissipated", force, D[k, k])
                     if is_thermal
@@ -619,21 +631,21 @@ def _add_body(law: L.SecondOrderBody, into: _Assembly) -> None:
         if port.kind == ACCELERATION.name:  # add the power v' B a that the acceleration supplies
             work = np.zeros((C.shape[1] + 1,) * 2)
             work[-1, :-1] = work[:-1, -1] = -0.5 * B[:, k]
-            into.add_energy(
+            into.add_quadratic_form(
                 "dissipated",
                 np.vstack([velocity_forms, into.find_linear_form(law, port.name)]),
                 work,
             )
     if is_thermal:
-        into.add_energy("stored", displacement_forms, 0.5 * E)
-        into.add_energy("dissipated", displacement_forms, K)
+        into.add_quadratic_form("stored", displacement_forms, 0.5 * E)
+        into.add_quadratic_form("dissipated", displacement_forms, K)
         return
-    into.add_energy("stored", displacement_forms, 0.5 * K)
-    into.add_energy("stored", velocity_forms, 0.5 * M)
-    into.add_energy("dissipated", velocity_forms, E)
+    into.add_quadratic_form("stored", displacement_forms, 0.5 * K)
+    into.add_quadratic_form("stored", velocity_forms, 0.5 * M)
+    into.add_quadratic_form("dissipated", velocity_forms, E)
     if voltage_forms:
         keys = list(voltage_forms)
-        into.add_energy(
+        into.add_quadratic_form(
             "stored", np.array(list(voltage_forms.values())), 0.5 * D[np.ix_(keys, keys)]
         )
 
@@ -698,12 +710,12 @@ def _add_linear_device(
         into.flows[f"{law.name}.{flow.pin}"] = slope[k] @ inputs, rate, float(out[k])
     if law.energy_forms is not None:
         for kind, form in zip(("stored", "dissipated"), law.energy_forms, strict=True):
-            into.add_energy(kind, inputs, form)
+            into.add_quadratic_form(kind, inputs, form)
     elif type(law).energy is not L.Device.energy:
         stored, lifted = _fit_quadratic(lambda e: law.energy(e, mode), len(inputs))
-        into.add_energy("stored", inputs, stored)
+        into.add_quadratic_form("stored", inputs, stored)
         into.lifted += lifted @ inputs
-        into.add_energy(
+        into.add_quadratic_form(
             "dissipated", inputs, _fit_quadratic(lambda e: law.loss(e, mode), len(inputs))[0]
         )
     into.linear.append((law, inputs, outputs))

@@ -176,7 +176,7 @@ def test_an_edge_that_begins_at_the_end_of_the_run_is_no_error_of_its_steps():
         "c": {"part": "capacitor", "capacitance": "20 nF", "pins": {"a": "r.b"}},
         "analysis": {"type": "transient", "stop": "9 ms"},
     }  # fmt: skip
-    (check,) = (c for c in kc.run(kc.load_scene(tables)).checks if c.name.startswith("steps"))
+    (check,) = (c for c in kc.run(kc.load_scene(tables)).checks if c.name.startswith("time steps"))
     assert check.value < 1e-3
 
 
@@ -198,5 +198,69 @@ def test_a_run_solves_the_eigenvalues_of_its_circuit_once(monkeypatch):
     monkeypatch.setattr(LinearisedSystem.modes, "func", counted)
     result = kc.run(kc.load_scene(tables))
     assert len(solved) == 1
-    assert [check.name for check in result.checks if check.name.startswith("steps")]
-    assert "motion at" in result.record["largest_step"]["why"]
+    assert [check.name for check in result.checks if check.name.startswith("time steps")]
+    assert "natural mode at" in result.record["largest_step"]["why"]
+
+
+@pytest.mark.parametrize("small", [1.0, 1e-6])
+def test_a_capacitor_between_two_free_nodes_leaves_the_resonance_known(small):
+    """A capacitor between a coil and a load stores charge, but its nodes carry no more of it.
+
+    The power is that of scipy's exact response to the square wave. With ``small``, capacitors of
+    very different sizes are in the same circuit: a second branch without effect on the load.
+    """
+    inductance, resistance, capacitance = 1e-3, 10.2, 7.036e-9
+    period, width, edge, grid = 16.66e-6, 8.28e-6, 50e-9, 10e-9
+    tables = {
+        "drive": {"part": "source", "pulse": {"high": "24 V", "width": width, "edge": edge,
+                                              "period": period}},
+        "rs": {"part": "resistor", "resistance": 0.2, "pins": {"a": "drive.out"}},
+        "l": {"part": "inductor", "inductance": inductance, "pins": {"a": "rs.b"}},
+        "c": {"part": "capacitor", "capacitance": capacitance, "pins": {"a": "l.b", "b": "load.a"}},
+        "load": {"part": "resistor", "resistance": 10.0},
+        "r2": {"part": "resistor", "resistance": 1e3, "pins": {"a": "drive.out"}},
+        "c2": {"part": "capacitor", "capacitance": small * 1e-9,
+               "pins": {"a": "r2.b", "b": "r3.a"}},
+        "r3": {"part": "resistor", "resistance": 1e3},
+        "analysis": {"type": "transient", "stop": "5 ms"},
+        "probes": {"p": {"of": "load.power", "take": "mean"}},
+    }  # fmt: skip
+    result = kc.run(kc.load_scene(tables))
+    t = grid * np.arange(round(5e-3 / grid) + 1)
+    corners = [0.0, edge, width, width + edge, period]
+    voltage = np.interp(np.mod(t, period), corners, [0.0, 24.0, 24.0, 0.0, 0.0])
+    _, current, _ = lsim(
+        ([1.0, 0.0], [inductance, resistance, 1 / capacitance]), voltage, t
+    )  # I/U = s / (L s^2 + R s + 1/C)
+    expected = 10.0 * np.trapezoid(current**2, t) / t[-1]
+    assert result.metrics["p"] == pytest.approx(expected, rel=1e-3)
+    assert "natural mode at" in result.record["largest_step"]["why"]
+
+
+def test_a_pulse_train_limits_the_step_of_a_circuit_without_equations(tmp_path):
+    """The simulator takes 50 steps per period of the train, also if the run has 1000 periods."""
+    (tmp_path / "stage.lib").write_text(
+        "* stage\n.subckt stage in out ref\nR1 in out 10\nC1 out ref 1n\n.ends\n"
+    )
+    scene = tmp_path / "stage.toml"
+    scene.write_text(
+        """
+[gate]
+part = "source"
+pulse = { high = "5 V", width = "8 us", edge = "0.1 us", period = "20 us" }
+[stage]
+part = "netlist"
+file = "stage.lib"
+subckt = "stage"
+pins = { in = "gate.out", out = "load.a", ref = "gnd" }
+[load]
+part = "resistor"
+resistance = "1 kOhm"
+[analysis]
+type = "transient"
+stop = "20 ms"
+"""
+    )
+    result = kc.run(scene)
+    assert result.record["largest_step"]["s"] == pytest.approx(20e-6 / 50)
+    assert "1/50 of a period of gate" in result.record["largest_step"]["why"]

@@ -17,6 +17,7 @@ from kc2spice.core import waveforms as waves_
 from kc2spice.core.domains import QUANTITIES, Domain, Quantity, Side
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Section, convert_quantity, make_invalid_value_error
+from kc2spice.core.si_prefix_format import format_quantity
 from kc2spice.core.spectrum import find_waveform_frequency
 from kc2spice.core.toml_text import clip_text, format_toml
 from kc2spice.core.untrusted_files import locate_file_in_folder, read_bounded
@@ -95,8 +96,12 @@ MAX_ROWS = 100_000  # largest number of rows of a waveform file
 # Time points per period of a sine.
 # With 125 points, linear interpolation has an error of 4e-4 of the amplitude.
 POINTS_PER_PERIOD = 125
+# Time points per period of a pulse train. A half-bridge that drives a series resonance needs 137
+# points per period because of its edges, and 141 points with this limit.
+POINTS_PER_PULSE_PERIOD = 50
 # Highest relevant frequency of an edge, multiplied by the duration of the edge.
-# Above the highest relevant frequency, a fraction of 1e-4 of the spectrum remains.
+# A pulse with edges of 1/200 of its width has 1e-4 of its energy above the highest relevant
+# frequency.
 EDGE_FACTOR = 0.5
 # Highest resolved frequency, divided by the frequency of a sine that is switched on.
 # When the resolved band ended at 3 times the frequency of the sine, a mode above the band had an
@@ -123,9 +128,7 @@ class SourceKeys(Section):
     sine: SineKeys | None = None
     pwl: tuple[tuple[float | str, float | str], ...] | None = Field(
         None,
-        description=(
-            "Waveform of the source as corners [time, value], connected by straight lines"
-        ),
+        description=("Waveform of the source as points [time, value], connected by straight lines"),
     )
     file: str | None = Field(
         None,
@@ -143,24 +146,26 @@ class SourceKeys(Section):
     @field_validator("pwl", mode="before")
     @classmethod
     def _require_corners(cls, rows: object) -> object:
-        """Require that ``pwl`` is a list of waveform corners, each a time and a value."""
-        expected = "a list of corners, [[TIME, VALUE], [TIME, VALUE], …]"
+        """Require that ``pwl`` is a list of waveform points, each a time and a value."""
+        expected = "a list of points, [[TIME, VALUE], [TIME, VALUE], …]"
         hint = 'write for example  pwl = [[0, 0], ["1 ms", 1]]'
         if rows is None:
             return rows
         if not isinstance(rows, (list, tuple)):
-            raise make_invalid_value_error("the corners are not a list", expected, hint=hint)
+            raise make_invalid_value_error("the points are not a list", expected, hint=hint)
         plain = [row for row in rows if not isinstance(row, (list, tuple))]
         if plain and len(plain) == len(rows):
             if len(rows) % 2 == 0:
                 pairs = list(zip(rows[::2], rows[1::2], strict=True))
                 hint = f"write  pwl = {clip_text(format_toml(pairs))}"
-            raise make_invalid_value_error("the corners are not lists of two", expected, hint=hint)
+            raise make_invalid_value_error(
+                "the points are not pairs of time and value", expected, hint=hint
+            )
         for row in rows:
             if isinstance(row, (list, tuple)) and len(row) > 2:
                 short = format_toml([row[:2]])[1:-1]
                 hint = f"write  {short}  in place of  {format_toml([row])[1:-1]}"
-                problem = f"a corner has {len(row)} entries"
+                problem = f"a point has {len(row)} entries"
                 raise make_invalid_value_error(problem, expected, hint=hint)
         return rows
 
@@ -170,6 +175,8 @@ class SourceKeys(Section):
         shapes = self._stated_waveform_keys
         if len(shapes) > 1:
             hint = f"delete the key `{shapes[0]}` or the key `{shapes[1]}`"
+            if set(shapes) == {"dc", "sine"}:
+                hint = f"delete the key `dc`, or {SineKeys.unsupported_key_hints['offset']}"
             raise make_invalid_value_error(
                 "the source has two waveforms: " + " and ".join(shapes), "one of them", hint=hint
             )
@@ -295,18 +302,22 @@ class Source(PartType[SourceKeys]):
     def numerics(
         self, part: Part[SourceKeys], scene: WiredScene
     ) -> Iterator[NumericalRequirements]:
-        """Yield requirements on the time step, to resolve edges and waveform periods."""
+        """Yield numerical requirements: time steps that resolve edges and periods."""
         yield from list_waveform_numerics(part.name, part.keys.waveform)
         pulse = part.keys.pulse
-        if pulse is not None and pulse.count is None and pulse.period:
-            yield NumericalRequirements(part.name, period=pulse.period)
+        if pulse is not None and pulse.period:
+            what = f"1/{POINTS_PER_PULSE_PERIOD} of a period of {part.name}, a pulse train"
+            endless_period = pulse.period if pulse.count is None else 0.0
+            yield NumericalRequirements(
+                what, pulse.period / POINTS_PER_PULSE_PERIOD, period=endless_period
+            )
 
     def voltage(self, part: Part[SourceKeys], scene: DeclaredScene) -> Waveform | None:
         """Return the prescribed voltage [V] versus time; None for other quantities."""
         return part.keys.waveform if part.keys.kind == "voltage" else None
 
     def has_ac_source(self, part: Part[SourceKeys], scene: DeclaredScene) -> bool:
-        """Return whether the source has an amplitude for small-signal analyses."""
+        """Return whether the source is an ac source: whether its ``amplitude`` is not 0."""
         return part.keys.amplitude != 0
 
     def make_frequency_estimator(
@@ -362,7 +373,7 @@ class Source(PartType[SourceKeys]):
     def settable_quantities(
         self, part: Part[SourceKeys], build: BuiltScene
     ) -> Mapping[str, SweptSource]:
-        """Return the netlist source that a dc sweep of the key ``dc`` varies."""
+        """Return the settable quantity ``dc``: the netlist source that a dc sweep varies."""
         kind = SOURCE_TYPES[part.keys.kind]
         if _sweeps_back(part, build.scene):
             return {
@@ -373,7 +384,7 @@ class Source(PartType[SourceKeys]):
         return {"dc": SweptSource(f"{kind.letter}{part.name}", kind.netlist_factor)}
 
     def vectors(self, part: Part[SourceKeys], build: BuiltScene) -> Mapping[str, PartResult]:
-        """Return the ngspice expression of each result of the part, keyed by result name."""
+        """Return the ngspice vectors: expressions of the part's results, keyed by name."""
         n, kind, result = part.name, SOURCE_TYPES[part.keys.kind], {}
         flow = kind.domain.through_variable
         name, factor, unit = f"{n}.{flow.symbol}", flow.factor, flow.unit
@@ -404,7 +415,8 @@ class Source(PartType[SourceKeys]):
         swing = float(np.ptp(expected)) or float(np.abs(expected).max()) or 1.0
         off, name = float(np.abs(result - expected).max()) / swing, f"{part.name} drives as defined"
         advice = "report this error: the source in the netlist differs from the scene"
-        yield Check(name, off, MAX_DEVIATION, "of its swing", advice, wiring=True)
+        label = f"waveform error of {part.name}"
+        yield Check(name, off, MAX_DEVIATION, "of its swing", advice, wiring=True, label=label)
 
     def law(self, part: Part[SourceKeys], build: BuiltScene) -> laws.Equations:
         """Return the part's law: its model equations, solved by kc2spice without ngspice."""
@@ -424,7 +436,47 @@ class Source(PartType[SourceKeys]):
 
     def notes(self, part: Part[SourceKeys], scene: Scene) -> Iterator[str]:
         """Yield the assumptions of the model and the effects that it neglects."""
-        yield f"{part.keys.kind}, {part.keys.waveform_key}"
+        yield _describe_waveform(part, scene)
+
+
+def _describe_waveform(part: Part[SourceKeys], scene: Scene) -> str:
+    """Describe quantity, amplitude and timing of a source in the analysis of the scene."""
+    keys, selected = part.keys, scene.analysis
+    name, show = keys.kind.replace("_", " "), partial(format_quantity, unit=keys.unit)
+    if selected.is_small_signal:
+        bias = float(keys.waveform(0.0))
+        texts = [f"ac {show(keys.amplitude)}"] if keys.amplitude else []
+        if bias or not texts:
+            texts.append(f"dc {show(bias)}")
+        return ", ".join((name, *texts))
+    if selected.sweep == f"{part.name}.dc":
+        ends = (show(convert_quantity(end, keys.unit)) for end in (selected.from_, selected.to))
+        return f"{name}, swept from {' to '.join(ends)}"
+    wave = keys.waveform
+    if keys.sine is not None:
+        text = f"{name} sine, amplitude {show(wave.amplitude)}, "
+        text += format_quantity(wave.frequency, "Hz")
+        return text + _describe_start(keys.sine.start)
+    if keys.pulse is not None:
+        pulse, time = keys.pulse, partial(format_quantity, unit="s")
+        low, high = (convert_quantity(end, keys.unit) for end in (pulse.low, pulse.high))
+        text = f"{name} pulse, {show(low)} to {show(high)}, width {time(pulse.width)}, "
+        text += f"edges {time(pulse.edge)}"
+        if pulse.period is not None:
+            text += f", period {time(pulse.period)}"
+        if pulse.count is not None:
+            text += f", {pulse.count} pulses"
+        return text + _describe_start(pulse.start)
+    times, values = zip(*wave.points, strict=True)
+    if len(times) == 1:
+        return f"{name}, constant {show(values[0])}"
+    span = f"{show(min(values))} to {show(max(values))}"
+    return f"{name}, {len(times)} points, {span}, until {format_quantity(times[-1], 's')}"
+
+
+def _describe_start(start: float) -> str:
+    """Describe the time at which a waveform starts; "" if it starts at t = 0."""
+    return f", from t = {format_quantity(start, 's')}" if start else ""
 
 
 def _find_highest_filtered_frequency(
@@ -505,8 +557,8 @@ def _make_waveform(points: np.ndarray, data_name: str) -> Waveform:
     """
     key = "pwl" if data_name == "pwl" else "file"
     if len(points) < 2:
-        corner = f'["{points[0, 0] + 1e-3:g} s", {points[0, 1]:g}]' if len(points) else ""
-        hint = "add at least two rows" if not corner else f"add a second corner, such as  {corner}"
+        point = f'["{points[0, 0] + 1e-3:g} s", {points[0, 1]:g}]' if len(points) else ""
+        hint = "add at least two rows" if not point else f"add a second point, such as  {point}"
         row_count = f"{len(points)} row{'' if len(points) == 1 else 's'}"
         raise UsageError(
             f"{data_name} has {row_count}",
@@ -550,7 +602,7 @@ def _read_table(home: Path, name: str) -> np.ndarray:
     if rows.shape[1:] == (2,) and np.isnan(rows[0]).any():  # the first line is a header line
         rows = rows[1:]
     if rows.ndim != 2 or rows.shape[1] != 2 or not np.isfinite(rows).all():
-        hint = "separate the numbers by a comma, and write decimal points"
+        hint = "separate the numbers by a comma, and use a point as the decimal separator"
         if rows.ndim == 2 and rows.shape[1] > 2:
             hint = "delete all columns except time and value"
         elif b"RIFF" in data[:4] or b"\0" in data[:100]:
