@@ -61,7 +61,7 @@ class Corrections:
     products: np.ndarray
 
     def is_near(self, other: Corrections) -> bool:
-        """Return whether two corrections have nearly equal frequencies and energies."""
+        """Return whether two corrections of modes and static responses are nearly equal."""
         pairs = (
             (self.frequencies, other.frequencies),
             (np.diag(self.products), np.diag(other.products)),
@@ -96,7 +96,7 @@ def correct_responses(
     initial = space.solve_ritz()[0]
     result = None
     for _ in range(rounds):
-        for solve in (model.solve_functions, model.solve_mesh):
+        for solve in (model.solve_coefficients, model.solve_mesh):
             space.extend(solve(space.compute_residuals(static)))
         before, result = result, space.compute_corrections(initial, static)
         if before is not None and result.is_near(before):
@@ -150,7 +150,7 @@ class EnrichedModel:
     solve_shifted: Callable[[np.ndarray], np.ndarray]
 
     def extend_responses(self, z: np.ndarray, voltages: np.ndarray) -> tuple[Pair, Pair]:
-        """Extend responses by zeros for added shape functions; return equation residuals.
+        """Extend responses by zeros for added shape functions, and compute the residuals.
 
         The additional shape functions have the coefficient zero in the extended responses. ``z`` of
         shape (n, k) contains the responses of the mesh under the ``voltages`` of shape (e, k).
@@ -171,8 +171,8 @@ class EnrichedModel:
         shapes = np.vstack([z, zeros[0]]), np.vstack([p, zeros[1]])
         return shapes, (np.vstack([0.0 * z, r_u]), np.vstack([0.0 * p, r_p]))
 
-    def solve_functions(self, residual: Pair) -> Pair:
-        """Solve for coefficients of additional shape functions; the mesh unknowns are 0."""
+    def solve_coefficients(self, residual: Pair) -> Pair:
+        """Solve for the coefficients of added shape functions; all mesh unknowns are zero."""
         (z, r_u), (q, r_p) = self._split_blocks(residual)
         (of_u, of_p), C = self.factors, self.operators.C
         u, p = of_u.solve(r_u) if of_u else r_u, r_p
@@ -182,7 +182,7 @@ class EnrichedModel:
         return np.vstack([0.0 * z, u]), np.vstack([0.0 * q, p])
 
     def solve_mesh(self, residual: Pair) -> Pair:
-        """Solve for the mesh unknowns; coefficients of additional shape functions are 0."""
+        """Solve for the mesh unknowns; all coefficients of added shape functions are zero."""
         ((z, more_u), (q, more_p)), K = self._split_blocks(residual), self.device.model.K
         if isinstance(K, SchurComplement):
             q = K.inner_factor.solve(q)
@@ -358,7 +358,7 @@ class _CorrectionSpace:
         return np.vstack([np.zeros((self.rigid, u.shape[1])), u]), X @ u - y
 
     def compute_corrections(self, eigenvalues: np.ndarray, loads: Pair) -> Corrections:
-        """Compute the corrections of the modes and of the static responses.
+        """Compute corrections of modes and static responses due to added shape functions.
 
         ``eigenvalues`` are the eigenvalues of the modes before the correction. ``loads`` are the
         residuals of the static responses.

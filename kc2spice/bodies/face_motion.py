@@ -185,8 +185,8 @@ class FaceMotion:
         decay = np.sqrt(cross)
         return np.asarray(self.areas @ np.abs(uneven) ** 2 / (decay * np.tanh(decay * depth)))
 
-    def compute_potential_differences(self) -> np.ndarray:
-        """Return the velocity-potential difference [m] across a plate at unit velocity.
+    def compute_velocity_potential_differences(self) -> np.ndarray:
+        """Compute the velocity-potential differences [m] across a plate at unit velocity.
 
         The rigid plate has the shape of the face, and moves at a velocity of 1. The docstring of
         this module contains the formulas. The returned array has the shape (points,).
@@ -222,7 +222,7 @@ class FaceMotion:
         The returned array has the shape (motions,).
         """
         face_volume, volume = self.displaced_volumes, np.zeros(self.normal.shape[1])
-        moment = (self.areas * self.compute_potential_differences()) @ self.normal
+        moment = (self.areas * self.compute_velocity_potential_differences()) @ self.normal
         if surface is not None:
             volume = surface.displaced_volumes
             height = self.axis @ surface.places

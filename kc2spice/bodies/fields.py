@@ -1,10 +1,10 @@
 """Stress and electric field in a body, from the waveforms at its ports.
 
-A run in any simulator yields the waveforms at the ports. For the waveforms at the ports, the motion
-of the body is computed with a projection of the full model on a Krylov basis V. The modes of the
-projected model are integrated exactly for inputs that are linear between samples. The unknowns z of
-the full model are ``z = V x`` for the unknowns x of the projected model. In an ac analysis, the
-complex amplitudes x follow from the amplitudes u at the ports, for ``w = 2 pi f``:
+A run in any simulator yields the waveforms at the ports. From the waveforms at the ports, this
+module computes the motion of the body by projection of the full model on a Krylov basis V. The
+modes of the projected model are integrated exactly for inputs that are linear between samples. The
+unknowns z of the full model are ``z = V x`` for the unknowns x of the projected model. In an ac
+analysis, the complex amplitudes x follow from the amplitudes u at the ports, for ``w = 2 pi f``:
 
     (V' K V - w^2 V' M V + j w V' E V) x = V' B u
 
@@ -38,8 +38,8 @@ BASIS_SIZE = 40  # number of vectors of the Krylov basis
 # Largest frequency of rigid-body modes, relative to the highest frequency of all modes.
 # The exact frequency of a rigid-body mode is zero, but rounding errors change the frequency.
 ZERO_FREQUENCY_RATIO = 1e-6
-# A mode counts as elastic only if its phase advances by at least this angle [rad] during the run.
-# A mode with a smaller phase advance counts as a rigid-body mode.
+# A mode counts as elastic only if its phase advances by at least MIN_PHASE [rad] during the run.
+# A mode whose phase advances by less than MIN_PHASE during the run counts as a rigid-body mode.
 MIN_PHASE = 1e-4
 # Smallest number of instants at which extremes are searched.
 # In a mesh of n Gauss points, the number of instants is MAX_WORK / n, but at least MIN_INSTANTS.
@@ -102,7 +102,8 @@ def recover_motion(
 
     Raises
     ------
-    UsageError : the body does not have one of the ports, or waveforms differ in length.
+    UsageError : ``inputs`` names a port that the body lacks, or ``inputs`` does not contain one
+        value for each time.
     """
     t, u = np.asarray(time), _collect_inputs(device, len(time), inputs)
     basis, omega, damp = _compute_modes(device, float(t[-1] - t[0]))
@@ -123,7 +124,8 @@ def recover_vibration(
 
     Raises
     ------
-    UsageError : the body does not have one of the ports, or amplitudes differ in length.
+    UsageError : ``inputs`` names a port that the body lacks, or ``inputs`` does not contain one
+        amplitude for each frequency.
     """
     f, u = np.asarray(frequency).real, _collect_inputs(device, len(frequency), inputs)
     f, u = f[f > 0], u[f > 0]
@@ -158,7 +160,8 @@ def _collect_inputs(
 
     Raises
     ------
-    UsageError : the body does not have one of the ports, or waveforms differ in length.
+    UsageError : ``inputs`` names a port that the body lacks, or ``inputs`` does not contain one
+        value for each time or frequency.
     """
     names = [port.name for port in device.model.ports]
     u = np.zeros((count, len(names)), dtype=np.result_type(float, *inputs.values()))
@@ -166,9 +169,9 @@ def _collect_inputs(
         if name not in names or np.shape(wave) != (count,):
             raise wrong(
                 "fields",
-                "this waveform does not belong to a port of this body",
-                got=f"{name} {np.shape(wave)}",
-                expected=f"{count} values of one of {', '.join(names)}",
+                "this waveform has a wrong length, or its name is not a port of this body",
+                got=f"the waveform {name} with the shape {np.shape(wave)}",
+                expected=f"{count} values for one of the ports {', '.join(names)}",
             )
         u[:, names.index(name)] = wave
     return u
@@ -460,10 +463,11 @@ def _choose_instants(motion: NodalMotion, count: int) -> np.ndarray:
 
 
 def _compute_energies(motion: NodalMotion) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the normalised energy and the sum of squared voltages of each sample.
+    """Compute energies and squared voltages of a body at each time or frequency.
 
-    The normalised energy adds two terms, each divided by its largest value among the samples: the
-    elastic energy, and the sum of the squared voltages.
+    Return the normalised energy, and the sum of the squared voltages. The normalised energy adds
+    two terms, each divided by its largest value: the elastic energy, and the sum of the squared
+    voltages.
     """
     K = motion.device.model.pencil.project(motion.basis).coefficients[0]
     energy = np.einsum("ti,ij,tj->t", motion.states.conj(), K, motion.states).real

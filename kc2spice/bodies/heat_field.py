@@ -48,7 +48,7 @@ class TemperatureField:
         return np.asarray(self.basis @ self.states[int(np.argmin(np.abs(self.time - instant)))])
 
     def find_hot_spots(self) -> list[HotSpot]:
-        """Return the highest temperature rise of each material during the run."""
+        """Find the hot spots: each material's highest temperature rise during the run."""
         even = np.linspace(self.time[0], self.time[-1], SEARCH_INSTANTS)
         chosen = np.unique(np.searchsorted(self.time, even))
         values = self.basis @ self.states[chosen].T
@@ -90,7 +90,8 @@ def recover_temperatures(
 
     Raises
     ------
-    UsageError : heat flows differ in length, or the body does not have one of the ports.
+    UsageError : ``flows`` names a port that the body lacks, or ``flows`` does not contain one value
+        for each time.
     """
     model, names = heat.model, [port.name for port in heat.model.ports]
     q = np.zeros((len(time), len(names)))
@@ -98,9 +99,9 @@ def recover_temperatures(
         if name not in names or np.shape(wave) != np.shape(time):
             raise wrong(
                 "fields",
-                "this waveform is not the heat flow of a port of this body",
-                got=f"{name} {np.shape(wave)}",
-                expected=f"{len(time)} values of one of {', '.join(names)}",
+                "this heat flow has a wrong length, or its name is not a port of this body",
+                got=f"the heat flow {name} with the shape {np.shape(wave)}",
+                expected=f"{len(time)} values for one of the ports {', '.join(names)}",
             )
         q[:, names.index(name)] = wave
     t = np.asarray(time)

@@ -128,11 +128,12 @@ def _require_resonance(
     # the conductance without the R-L-C branch is due to dielectric loss and other modes
     conductance = Y.real - branch.real
     ripple = conductance - np.polyval(np.polyfit(f, conductance, 2), f)
-    got = f"{f[0]:g} to {f[-1]:g} Hz"
+    band = f"{f[0]:g} to {f[-1]:g} Hz"
+    got = f"samples from {band}"
     if not f[0] <= resonance <= f[-1]:
-        got = f"a circuit that would resonate at {resonance:.4g} Hz, samples of {got}"
+        got = f"a fitted resonance at {resonance:.4g} Hz, outside the frequency range {band}"
     elif quality <= OVERDAMPED_Q:
-        got = f"a circuit of Q {quality:.2g} at {resonance:.4g} Hz, which does not oscillate"
+        got = f"a fitted circuit with Q = {quality:.2g} at {resonance:.4g} Hz, which is overdamped"
     elif np.abs(branch.real).max() > MIN_PROMINENCE * float(np.sqrt(np.mean(ripple**2))):
         return
     raise wrong(

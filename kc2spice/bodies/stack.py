@@ -130,12 +130,12 @@ def make_stack_setup(
 
 
 def _divide_height(kick: StackKeys, steps: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the number of active layers in each element level, and all node heights.
+    """Divide the height of a stack into levels of finite elements, and node planes.
 
-    The node heights are the heights [m] of all node planes.
+    Return the number of active layers in each level, and the heights [m] of all node planes.
     """
     spans, caps = choose_level_spans(kick), (kick.bottom_cap, kick.top_cap)
-    counts = [choose_cap_layers(kick, cap) for cap in caps]
+    counts = [choose_cap_level_count(kick, cap) for cap in caps]
     below, above = (
         np.linspace(0, cap.thickness if cap else 0.0, steps * count + 1)
         for cap, count in zip(caps, counts, strict=True)
@@ -167,7 +167,7 @@ def _make_hexahedra(
 
 
 def choose_level_spans(kick: StackKeys) -> np.ndarray:
-    """Choose the number of ceramic layers in each element level of a stack.
+    """Choose how many ceramic layers each level of finite elements spans in a stack.
 
     The levels are in the order from the bottom to the top. The number of ceramic layers in a level
     is at most ``layers_per_element``. A level that contains several layers is at most
@@ -180,8 +180,8 @@ def choose_level_spans(kick: StackKeys) -> np.ndarray:
     return np.array(spans[::-1])
 
 
-def choose_cap_layers(kick: StackKeys, cap: Cap | None) -> int:
-    """Choose the number of element levels in a cap at the end of a stack.
+def choose_cap_level_count(kick: StackKeys, cap: Cap | None) -> int:
+    """Choose the number of levels of finite elements in a cap at the end of a stack.
 
     A cap has two to sixteen levels of elements. Each level of elements in the cap is about as thick
     as an active ceramic layer. The returned number of levels is 0 if there is no cap.
@@ -225,7 +225,7 @@ def _place_nodes(kick: StackKeys, steps: int) -> np.ndarray:
 def make_layer_materials(
     kick: StackKeys, spans: np.ndarray, breakdown: float | None = None
 ) -> tuple[tuple[Material, ...], np.ndarray]:
-    """Make the materials of a stack, and the material index of each element level.
+    """Make the materials of a stack, and the material index of each level of elements.
 
     ``spans`` contains the number of ceramic layers in each level from the bottom to the top; the
     number is 0 in a cap.
@@ -279,7 +279,7 @@ def _mask_fixed_displacements(kick: StackKeys, solid: Solid) -> np.ndarray:
 def _find_electrodes(
     spans: np.ndarray, faces: np.ndarray, solid: Solid
 ) -> tuple[dict[str, np.ndarray], Profile | None]:
-    """Find electrode nodes, and interpolate potentials of nodes between electrodes.
+    """Find the electrode nodes, and the potentials of nodes between the electrodes.
 
     ``spans`` contains the number of ceramic layers in each level; the number is 0 in a cap.
     ``faces`` [m] contains the heights of the lower and upper faces of the levels. A level of

@@ -30,7 +30,7 @@ PATCH_PORT = "patch"  # name of the port that replaces the ring ports if a press
 PAPER_CERAMIC = "THP51"  # ceramic of the chip in Schütz et al. (2021)
 
 
-class ChipMesh(Section):
+class StackMeshKeys(Section):
     """Keys of a stack's mesh, which has rings and sectors in the plane of the layers.
 
     The key ``refine`` is the number of equal parts into which each edge of a cell is divided, also
@@ -86,7 +86,7 @@ class ChipMesh(Section):
     )
 
     @model_validator(mode="after")
-    def _require_even_sectors(self) -> ChipMesh:
+    def _require_even_sectors(self) -> StackMeshKeys:
         """Reject an odd number of mesh sectors."""
         if self.sectors % 2:
             raise make_invalid_value_error(
@@ -212,7 +212,7 @@ class StackKeys(Section):
             "that shears"
         ),
     )
-    mesh: ChipMesh = ChipMesh()
+    mesh: StackMeshKeys = StackMeshKeys()
     damping: ChipDamping = ChipDamping()
     mounting: Mounting = Field(
         "roller",

@@ -16,7 +16,7 @@ Power = Literal[
     "across * through",
     "d(across)/dt * through",
     "through",
-    "velocity of the frame * through",
+    "frame velocity * force",
     "none",
 ]
 Side = Literal["across", "through"]
@@ -181,12 +181,12 @@ class Domain:
     @property
     def can_be_metered(self) -> bool:
         """Whether the power at a pin can be metered from its across and through quantity."""
-        return self.is_conservative and self.power != "velocity of the frame * through"
+        return self.is_conservative and self.power != "frame velocity * force"
 
     @property
     def pin_kind(self) -> str:
         """Kind of the domain's pins in the model equations: domain name or ``signal``."""
-        return "signal" if self.power == "velocity of the frame * through" else self.name
+        return "signal" if self.power == "frame velocity * force" else self.name
 
     @property
     def quantities(self) -> Iterator[tuple[Quantity, Side]]:
@@ -198,7 +198,7 @@ class Domain:
     @property
     def through_variable(self) -> Quantity:
         """Through quantity of a conservative domain, such as current or force."""
-        assert self.through is not None, f"{self.name} has nothing through its pins"
+        assert self.through is not None, f"{self.name} has no through variable"
         return self.through
 
     def get_quantity(self, side: Side) -> Quantity:
@@ -223,7 +223,7 @@ TRANSLATION = Domain(
     Quantity("displacement", "x", "m", "um", 1e-6),
     Quantity("force", "force", "N", "N"),
     "d(across)/dt * through",
-    "velocities are zero and forces sum to zero; a spring, a support or a source holds every net",
+    "velocities are zero and forces sum to zero; every net needs a spring, a support or a source",
     input_side="through",
     port="mechanical",
     output_unit="m",
@@ -258,7 +258,7 @@ ACCELERATION = Domain(
     "acceleration",
     Quantity("acceleration", "a", "m/s2", "m/s2"),
     Quantity("force", "force", "N", "N"),
-    "velocity of the frame * through",
+    "frame velocity * force",
     "the frame has a constant acceleration and carries the weight of all masses in it",
     port="acceleration",
     output_unit="kg m",
@@ -272,7 +272,8 @@ THERMAL = Domain(
     Quantity("temperature", "temperature", "K", "K"),
     Quantity("heat_flow", "heat", "W", "W"),
     "through",
-    "no heat capacity takes up heat; a path of thermal resistances leads to a known temperature",
+    "heat capacities absorb no heat; every net needs a path of thermal resistances to a known "
+    "temperature",
     input_side="through",
     port="thermal",
     output_unit="K",
@@ -290,7 +291,8 @@ ACOUSTIC = Domain(
     Quantity("pressure", "pressure", "Pa", "Pa"),
     Quantity("volume_velocity", "flow", "m3/s", "cm3/s", 1e-6),
     "across * through",
-    "pressures are constant: no cavity takes up volume and no acoustic mass has a pressure drop",
+    "pressures are constant; no volume flows into cavities, and acoustic masses have no pressure "
+    "drop",
     port="acoustic",
     output_unit="m3",
     compliance="m3/Pa",
@@ -307,7 +309,8 @@ SIGNALS = Domain(
     Quantity("signal", "", "", ""),
     None,
     "none",
-    "constant; one output sets each net, and inputs draw no current",
+    "signals are constant at an operating point; exactly one output drives each net, and inputs "
+    "draw no current",
 )
 TABLE = (ELECTRICAL, TRANSLATION, ROTATION, ACCELERATION, THERMAL, ACOUSTIC, SIGNALS)
 

@@ -120,8 +120,8 @@ def select_window(t: np.ndarray, first: float, last: float) -> np.ndarray:
     return inside
 
 
-def scale_time_axis(t: np.ndarray) -> tuple[str, float]:
-    """Return the label of a time axis, and the factor from seconds to its unit.
+def choose_time_unit(t: np.ndarray) -> tuple[str, float]:
+    """Choose the time unit of an axis; return its label and the factor from seconds.
 
     The unit is ms if the range of the times is at least 1 ms, otherwise µs.
     """
@@ -139,7 +139,7 @@ def get_axis_label_and_factor(name: str, x: np.ndarray) -> tuple[str, float]:
     ``name`` is ``time``, ``frequency`` or a swept key, and ``x`` are its values in SI units.
     """
     if name == "time":
-        return scale_time_axis(x)
+        return choose_time_unit(x)
     if name == "frequency":
         return ("frequency in kHz", 1e-3) if x[-1] > 5e3 else ("frequency in Hz", 1.0)
     return name, 1.0

@@ -158,8 +158,8 @@ def _require_path(path: object, argument: str, kind: str, example: str) -> Path:
 
 
 @contextmanager
-def open_folder_of_file(path: object) -> Iterator[Path]:
-    """Create the missing parent folders of a file to be written; yield its path.
+def create_parent_folders(path: object) -> Iterator[Path]:
+    """Create missing parent folders of a file to be written; yield the file's path.
 
     Raises
     ------
@@ -220,7 +220,7 @@ def _write_hashes_file(work: Path, out: Path, files: list[Path]) -> None:
 
 
 def _is_edited(work: Path, out: Path, name: Path, known: Sequence[dict[str, str]]) -> bool:
-    """Return whether a new file would replace a file that kc2spice has not written.
+    """Return whether a new file would replace a file that users have edited or made.
 
     ``known`` contains the hashes of earlier files, as :func:`_read_hashes` returns them.
     """

@@ -24,7 +24,12 @@ from kc2spice.core.schemas import (
     list_keys,
 )
 from kc2spice.core.si_prefix_format import format_quantity
-from kc2spice.core.synonyms_from_other_programs import CHOICE_SYNONYMS, KEY_SYNONYMS, REPLACED_KEYS
+from kc2spice.core.synonyms_from_other_programs import (
+    CHOICE_SYNONYMS,
+    KEY_SYNONYMS,
+    OTHER_MEANINGS,
+    REPLACED_KEYS,
+)
 from kc2spice.core.toml_text import display_text, format_toml, quote_value
 from kc2spice.core.untrusted_files import make_identifier
 
@@ -214,7 +219,7 @@ def _explain_unknown_key(invalid: _InvalidValue) -> Explanation:
         or did_you_mean(word, elsewhere)
         or _suggest_synonym(word, fields)
         or _suggest_described_key(word, table)
-        or _replace_unknown_key(word, invalid.missing)
+        or _suggest_key_replacement(word, invalid.missing)
     )
     return "unknown key", "one of " + list_candidates(word, fields, _get_help_command(schema)), hint
 
@@ -225,8 +230,8 @@ def _explain_missing_key(invalid: _InvalidValue) -> Explanation:
     return message, *_explain_missing(invalid.schema, invalid.schema_path, invalid.path)
 
 
-def _replace_unknown_key(word: str, missing: Sequence[str]) -> str:
-    """Return the hint to replace an unknown key by the missing key, or to delete it."""
+def _suggest_key_replacement(word: str, missing: Sequence[str]) -> str:
+    """Suggest that the user replaces an unknown key by the missing key, or deletes it."""
     if len(missing) == 1:
         return f"write {missing[0]} in place of {word}, because the key `{missing[0]}` is missing"
     return f"delete {word}"
@@ -255,7 +260,7 @@ def _suggest_synonym(word: str, fields: Sequence[str]) -> str | None:
 
 
 def _list_replacement_hints(table: type[BaseModel]) -> Mapping[str, str]:
-    """Return hints for the unsupported keys of a table, which name the keys to use."""
+    """Return a hint for each unsupported key of a table, keyed by the key's name."""
     return getattr(table, "unsupported_key_hints", {})
 
 
@@ -294,7 +299,7 @@ def _explain_pattern(invalid: _InvalidValue) -> Explanation:
     """Explain the error that a string contains characters that are not allowed."""
     pattern, name = str(invalid.context["pattern"]), make_identifier(str(invalid.value), "name")
     expected = "a letter, then letters, digits and _, at most 64 in all"
-    hint = f"write the text without other characters: {name}"
+    hint = f"replace the characters that are not allowed, for example  {name}"
     if pattern == "^[xyz]{1,3}$":
         expected, hint = "one to three of the letters x, y and z", 'for example "z"'
     elif letters := re.fullmatch(r"\^\[([A-Z]+)\]\$", pattern):
@@ -317,6 +322,9 @@ def _explain_choice(invalid: _InvalidValue) -> Explanation:
     hint = did_you_mean(word, choices)
     if (meaning := CHOICE_SYNONYMS.get(normalise_word(word))) in choices:
         hint = f'write  {key} = "{meaning}"'
+        other, both, one = OTHER_MEANINGS.get(str(meaning), ("", "", ""))
+        if other in choices:
+            hint += f'  for {both}, or  {key} = "{other}"  for {one}'
     vector = _AXIS_VECTORS.get(normalise_word(word))
     # the key accepts a choice or a vector
     if vector and any(map(_is_union_member, invalid.schema_path)) and "x" not in choices:
@@ -333,8 +341,8 @@ def _explain_number(invalid: _InvalidValue) -> Explanation:
     return "not a number", "a number", f"write for example  {invalid.write_assignment('1.0')}"
 
 
-def _explain_text(invalid: _InvalidValue) -> Explanation:
-    """Explain the error that a value is not a string."""
+def _explain_non_text(invalid: _InvalidValue) -> Explanation:
+    """Explain the error that a value is not a text."""
     return "not a text", "a text in quotes", f'for example  {invalid.path[-1]} = "NAME"'
 
 
@@ -556,7 +564,7 @@ def _get_help_command(schema: type[BaseModel]) -> str | None:
 
 
 def _find_inner_section(annotation: Any) -> type[BaseModel] | None:
-    """Find the first section class in a type annotation, at any nesting depth."""
+    """Find the first class of a TOML section at any depth of a type annotation."""
     section = find_section(annotation)
     inner = map(_find_inner_section, get_args(annotation)) if section is None else ()
     return section or next(filter(None, inner), None)
@@ -579,7 +587,7 @@ _EXPLANATIONS: Mapping[str, Callable[[_InvalidValue], Explanation]] = {
     "literal_error": _explain_choice,
     "float_type": _explain_number,
     "float_parsing": _explain_number,
-    "string_type": _explain_text,
+    "string_type": _explain_non_text,
     "int_type": _explain_whole_number,
     "bool_type": _explain_boolean,
     "bool_parsing": _explain_boolean,

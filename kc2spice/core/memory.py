@@ -25,7 +25,7 @@ def find_available_bytes(root: Path = Path("/")) -> float:
     system.
     """
     limits = [
-        *_list_machine_memory(root),
+        *_read_machine_memory(root),
         *_list_cgroup_memory(root),
         *_list_ulimit_memory(root),
     ]
@@ -37,8 +37,8 @@ def _read_physical_memory() -> float:
     return float(os.sysconf(PAGE_SIZE_NAME)) * os.sysconf("SC_PHYS_PAGES")
 
 
-def _list_machine_memory(root: Path) -> Iterator[float]:
-    """Yield the available memory of the machine [bytes], if the system reports it."""
+def _read_machine_memory(root: Path) -> Iterator[float]:
+    """Read the available memory [bytes] of the machine, if the system reports it."""
     free = _read_field(root / "proc/meminfo", "MemAvailable:")
     if free is not None:
         yield 1024.0 * free

@@ -15,7 +15,7 @@ PLANE_UNKNOWN_RATIO = 4.0
 MESH_ERROR_PREFIX = "mesh_error_"  # prefix of the names of relative mesh errors
 # in a mapping of model values, the key of the highest frequency [Hz] that the mesh resolves
 MESH_LIMIT_NAME = "mesh_limit_hz"
-NOT_ESTIMATED = "error not estimated, because the matrices state no mesh"
+NOT_ESTIMATED = "error not estimated, because the matrices come without a mesh"
 
 
 class MeshQuantity(NamedTuple):

@@ -113,7 +113,7 @@ def _clip_to_window(
     direction = -1 if scale[0] > scale[-1] else 1
     scale, values = scale[::direction], values[::direction]
     for key, end in zip(("from", "to"), window, strict=True):
-        if math.isfinite(end) and not _is_on_scale(scale, end):
+        if math.isfinite(end) and not _is_in_analysed_range(scale, end):
             raise make_outside_error(f"{where}.{key}", end, scale.min(), scale.max())
     low, high = max(window[0], scale[0]), min(window[1], scale[-1])
     if low >= high and scale.size > 1:
@@ -132,7 +132,7 @@ def _clip_to_window(
 
 
 def _evaluate_range(take: str, scale: np.ndarray, values: np.ndarray, level: float) -> float | None:
-    """Compute the probe value, such as ``max``, from all given points of a waveform."""
+    """Compute the probe value, such as ``max``, of the given range of a waveform."""
     if np.iscomplexobj(values) and take in ("max", "argmax"):
         place, largest = find_response_maximum(scale.real, np.abs(values))
         return largest if take == "max" else place
@@ -237,7 +237,7 @@ _PROBE_FUNCTIONS: dict[str, Callable[[np.ndarray, np.ndarray, float], float | No
 }
 
 
-def _is_on_scale(scale: np.ndarray, place: float) -> bool:
+def _is_in_analysed_range(scale: np.ndarray, place: float) -> bool:
     """Return whether a time, frequency or swept value is within the analysed range.
 
     ``scale`` contains the analysed times, frequencies or swept values. A tolerance allows for
@@ -267,7 +267,7 @@ def make_outside_error(
 
 def _interpolate_value(scale: np.ndarray, values: np.ndarray, place: float, where: str) -> float:
     """Interpolate a waveform at a position; return the magnitude of a complex value."""
-    if not _is_on_scale(scale, place):
+    if not _is_in_analysed_range(scale, place):
         raise make_outside_error(f"{where}.at", place, scale.min(), scale.max())
     result = interpolate(place, scale, values)
     return float(np.abs(result)) if np.iscomplexobj(result) else float(result)

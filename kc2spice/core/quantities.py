@@ -100,7 +100,7 @@ def _convert_whole_number(value: object) -> object:
 
 
 def _require_ring_choice(value: object) -> object:
-    """Validate the choice of contact rings: ``needed``, ``all`` or a number of rings.
+    """Require a choice of contact rings: ``needed``, ``all`` or a number of rings.
 
     Any other value raises an error.
     """
@@ -108,13 +108,13 @@ def _require_ring_choice(value: object) -> object:
         return value
     raise make_invalid_value_error(
         "this value is not one of the choices",
-        "needed, all, or a whole number from 1 on",
+        '"needed", "all", or a whole number of at least 1',
         hint='write  "needed"',
     )
 
 
-class ScalePosition(float):
-    """Position on the scale of an analysis (a time or a frequency), with its unit.
+class IndependentValue(float):
+    """Value of an analysis's independent variable, such as a time, with its unit.
 
     ``unit`` is empty for a number without a unit.
     """
@@ -122,7 +122,7 @@ class ScalePosition(float):
     unit: str = ""
 
 
-# Units of positions on the scale of an analysis: frequency, time, or a swept quantity.
+# Units of the independent variable of an analysis: frequency, time, or a swept quantity.
 # A dc sweep can vary every quantity that a source can prescribe.
 SCALE_UNITS = (
     "Hz",
@@ -131,13 +131,13 @@ SCALE_UNITS = (
 )
 
 
-def _parse_scale_position(value: object) -> ScalePosition:
-    """Parse a position on the scale of an analysis, such as a time or frequency."""
-    if isinstance(value, ScalePosition):
+def _parse_independent_value(value: object) -> IndependentValue:
+    """Parse a value of an analysis's independent variable, such as a time."""
+    if isinstance(value, IndependentValue):
         return value
     for unit in SCALE_UNITS:
         try:
-            result = ScalePosition(convert_quantity(value, unit))
+            result = IndependentValue(convert_quantity(value, unit))
         except UsageError:
             continue
         result.unit = unit if isinstance(value, str) else ""
@@ -166,7 +166,7 @@ def _parse_mounting(value: object) -> object:
 
 
 def si(unit: str) -> BeforeValidator:
-    """Return the pydantic validator of a scene key whose values have an SI unit.
+    """Return a pydantic validator for a scene key whose values have the given SI unit.
 
     A valid value is a number in ``unit``, or a string with a unit.
 
@@ -216,7 +216,7 @@ class UsualRange:
 Length = Annotated[float, si("m")]
 # Plausible dimensions of manufactured parts: thickness of layers and plates, width, and length.
 Thickness = Annotated[
-    Length, PlausibleRange("m", 1e-7, 0.03, "films begin at 0.1 um, plates end at 3 cm")
+    Length, PlausibleRange("m", 1e-7, 0.03, "films are at least 0.1 um thick, plates at most 3 cm")
 ]
 Width = Annotated[
     Length, PlausibleRange("m", 1e-6, 0.5, "transducers are 1 um to half a metre wide")
@@ -232,7 +232,7 @@ USUAL_GRAVITY = UsualRange("m/s2", -100.0, 100.0, "even the gravity of Jupiter i
 Gravity = Annotated[Acceleration, USUAL_GRAVITY]
 # A steel cube with edges of 1 m has a stiffness of 2e11 N/m.
 USUAL_STIFFNESS = UsualRange(
-    "N/m", 0.0, 1e11, "a steel block as large as a transducer has less than 1e11 N/m"
+    "N/m", 0.0, 1e11, "a steel block of transducer size has a stiffness below 1e11 N/m"
 )
 Stiffness = Annotated[float, si("N/m"), USUAL_STIFFNESS]
 Density = Annotated[float, si("kg/m3")]
@@ -254,22 +254,31 @@ Inductance = Annotated[float, si("H"), PLAUSIBLE_INDUCTANCE]
 # The motional inductances of crystals can be thousands of henries.
 CoilInductance = Annotated[Inductance, USUAL_COIL_INDUCTANCE]
 PLAUSIBLE_MASS = PlausibleRange(
-    "kg", 1e-18, 1e3, "no transducer moves less than a femtogram or more than a ton"
+    "kg", 1e-18, 1e3, "no transducer has a moving mass below a femtogram or above a tonne"
 )
-USUAL_MASS = UsualRange("kg", 0.0, 10.0, "moving parts of transducers usually have less than 10 kg")
+USUAL_MASS = UsualRange(
+    "kg", 0.0, 10.0, "moving parts of transducers usually weigh less than 10 kg"
+)
 Mass = Annotated[float, si("kg"), PLAUSIBLE_MASS, USUAL_MASS]
 MechanicalDamping = Annotated[float, si("N s/m")]
 Charge = Annotated[float, si("C")]
 Slew = Annotated[float, si("V/s")]
 Ratio = Annotated[float, si("")]
 Count = Annotated[int, BeforeValidator(_convert_whole_number), Strict()]
-Place = Annotated[float, PlainValidator(_parse_scale_position)]
+Place = Annotated[float, PlainValidator(_parse_independent_value)]
 Rings = Annotated[Literal["needed", "all"] | int, BeforeValidator(_require_ring_choice)]
 Mounting = Annotated[Literal["roller", "glued", "free"] | float, BeforeValidator(_parse_mounting)]
 GateLength = Annotated[float, BeforeValidator(partial(_parse_number_with_unit, "m"))]
 GateTime = Annotated[float, BeforeValidator(partial(_parse_number_with_unit, "s"))]
 
 
+# Limit of voltages and currents. ngspice divides by 1e-32 in place of zero, so that a quotient of
+# numbers above 1e-17 exceeds the limit. Signals and ideal circuits remain below the limit.
+MAX_ELECTRICAL = 1e15
+DIVERGENCE = (
+    "no real circuit reaches 1e15 V or 1e15 A; the usual cause is a division by zero in a netlist "
+    "expression"
+)
 # Usual ranges of results of a transient, an operating point or a dc sweep, one for each unit.
 USUAL_RESULTS = (
     UsualRange(
@@ -277,6 +286,8 @@ USUAL_RESULTS = (
     ),
     UsualRange("m", -10.0, 10.0, "the parts of a transducer move by much less than 10 m"),
     UsualRange("m/s", -SOUND_SPEED, SOUND_SPEED, "this motion is faster than sound in air"),
+    UsualRange("V", -MAX_ELECTRICAL, MAX_ELECTRICAL, DIVERGENCE),
+    UsualRange("A", -MAX_ELECTRICAL, MAX_ELECTRICAL, DIVERGENCE),
 )
 
 
@@ -311,8 +322,8 @@ class RefinementRule:
 
 
 class Section(BaseModel):
-    """Base class of scene tables, which are immutable and reject unknown keys."""
+    """Base class of scene sections: immutable tables that reject unknown keys."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True, defer_build=True)
     help_command: ClassVar[str] = "kc2spice scenes --keys"  # command that prints all keys
-    unsupported_key_hints: ClassVar[Mapping[str, str]] = {}  # keyed by name of key
+    unsupported_key_hints: ClassVar[Mapping[str, str]] = {}  # hint for each unsupported key

@@ -6,11 +6,15 @@ A ratio, or a value that is compared with a limit, is printed as 0 if it is only
 from __future__ import annotations
 
 import math
+import re
+
+from kc2spice.core.units import parse_unit
 
 PREFIXES = {-18: "a", -15: "f", -12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
 # Units that contain a prefix, with the unit without prefix and the conversion factor.
 _PREFIXED_UNITS = {"kg": ("g", 1e3), "mm": ("m", 1e-3), "um": ("m", 1e-6)}
-_SHOWN_UNITS = {"Ohm": "Ω", "kg s2": "kg·s²"}
+# The prefix of A2 s applies to the second, because mA2 would mean (mA)^2.
+_SHOWN_UNITS = {"Ohm": "Ω", "kg s2": "kg·s²", "A2 s": "s·A²", "um": "µm"}
 # Units of area and volume, with the equivalent of 1 unit in m2 or m3.
 _AREAS = {"m²": 1.0, "cm²": 1e-4, "mm²": 1e-6, "µm²": 1e-12}
 _VOLUMES = {"m³": 1.0, "dm³": 1e-3, "cm³": 1e-6, "mm³": 1e-9, "µm³": 1e-18}
@@ -21,6 +25,7 @@ MIN_SHARE_OF_UNIT = 0.1
 LARGEST_MASS = 1e3  # kg; masses from this value on are printed in kg, without another prefix
 # A value is a ratio if its unit begins with "of " or "relative", such as "of the peak".
 _RATIO_WORDS = "of ", "relative"
+MIN_RATIO_IN_PERCENT = 1e-5  # smaller ratios are printed as < 0.001 %
 ROUNDING_NOISE = 1e-12  # numbers below this fraction of their scale are rounding errors
 
 
@@ -43,13 +48,15 @@ def format_quantity(value: float | None, unit: str, digits: int = 4) -> str:
     --------
     >>> format_quantity(3.14e-4, "m2"), format_quantity(2.5e-6, "m3/s")
     ('3.14 cm²', '2.5 cm³/s')
+    >>> format_quantity(9.81, "m/s2"), format_quantity(10.0, "W/(m2 K)")
+    ('9.81 m/s²', '10 W/(m²·K)')
     """
     if value is None:
         return "—"
     if value == 0.0 or not math.isfinite(value):
         return f"{value:g} {unit}".strip()
     if not _accepts_prefix(unit):
-        return f"{value:.{digits}g} {_SHOWN_UNITS.get(unit, unit)}".strip()
+        return f"{value:.{digits}g} {show_unit(unit)}".strip()
     if unit in _PREFIXED_UNITS:
         base_unit, factor = _PREFIXED_UNITS[unit]
         if unit == "kg" and abs(value) >= LARGEST_MASS:
@@ -79,16 +86,29 @@ def _accepts_prefix(unit: str) -> bool:
     """Return whether a unit accepts SI prefixes; a phrase used as a unit does not.
 
     A unit with spaces but without the word ``per``, such as ``of the peak``, is a phrase and
-    accepts no prefix. A unit with the word ``per`` accepts prefixes.
+    accepts no prefix. A unit with the word ``per`` accepts prefixes, and so does A2 s.
     """
-    return bool(unit) and (" " not in unit or " per " in unit)
+    return bool(unit) and (" " not in unit or " per " in unit or unit == "A2 s")
 
 
 def _format_with_prefix(value: float, unit: str, digits: int, power: int) -> str:
     """Format a number with the SI prefix for 10^``power``."""
     sign = "−" if value < 0.0 else ""
     digits_text = f"{abs(value) / 10.0**power:.{digits}g}"
-    return f"{sign}{digits_text} {PREFIXES[power]}{_SHOWN_UNITS.get(unit, unit)}"
+    return f"{sign}{digits_text} {PREFIXES[power]}{show_unit(unit)}"
+
+
+def show_unit(unit: str) -> str:
+    """Return a unit as printed, with superscripts and centred dots, such as ``W/(m²·K)``.
+
+    A phrase in place of a unit is unchanged.
+    """
+    if unit in _SHOWN_UNITS:
+        return _SHOWN_UNITS[unit]
+    if parse_unit(unit) is None:
+        return unit
+    digits = re.sub(r"(?<=[A-Za-z])[2-9]", lambda match: "⁰¹²³⁴⁵⁶⁷⁸⁹"[int(match[0])], unit)
+    return digits.replace(" ", "·")
 
 
 def format_ratio(value: float | None) -> str:
@@ -103,10 +123,42 @@ def format_ratio(value: float | None) -> str:
     return format_quantity(0.0 if small else value, "", 2)
 
 
+def format_percent(ratio: float, digits: int = 3) -> str:
+    """Format a ratio in percent; write ``< 0.001 %`` for small nonzero ratios.
+
+    Examples
+    --------
+    >>> format_percent(0.00411), format_percent(3.6e-12), format_percent(0.0)
+    ('0.411 %', '< 0.001 %', '0 %')
+    """
+    if 0.0 < abs(ratio) < MIN_RATIO_IN_PERCENT:
+        return f"< {100 * MIN_RATIO_IN_PERCENT:g} %"
+    return f"{100 * ratio:.{digits}g} %"
+
+
+def remove_unit_words(unit: str) -> str:
+    """Remove explanatory words from a unit, such as ``beyond`` from ``V beyond``.
+
+    Every ratio gets the unit ``relative``.
+
+    Examples
+    --------
+    >>> list(map(remove_unit_words, ("of the energy exchanged", "V beyond", "contact events")))
+    ['relative', 'V', '']
+    """
+    if unit.startswith(_RATIO_WORDS):
+        return "relative"
+    if unit == "1" or " " not in unit or " per " in unit or parse_unit(unit):
+        return unit.removeprefix("1")
+    first_word = unit.partition(" ")[0]
+    return first_word if parse_unit(first_word) else ""
+
+
 def format_value_and_limit(value: float, limit: float, unit: str) -> tuple[str, str]:
     """Format a value and its limit with the same prefix, such as 406 kHz and 500 kHz.
 
-    If value and limit differ by several orders of magnitude, their prefixes may differ. A value
+    If the limit would need more than three digits before the decimal point, or more than one zero
+    behind it, value and limit have different prefixes. A value
     that is a rounding error relative to the limit, or to 1 for ratios, is printed as 0. Ratios,
     whose unit begins with ``of`` or ``relative``, are printed in percent.
 
@@ -114,6 +166,8 @@ def format_value_and_limit(value: float, limit: float, unit: str) -> tuple[str, 
     --------
     >>> format_value_and_limit(4.06e5, 5e5, "Hz")
     ('406 kHz', '500 kHz')
+    >>> format_value_and_limit(4.07e-8, 1.251e-6, "m")
+    ('40.7 nm', '1.25 µm')
     >>> format_value_and_limit(2.93e-4, 0.1, "of the energy exchanged")
     ('0.0293 % of the energy exchanged', '10 %')
     """
@@ -124,16 +178,14 @@ def format_value_and_limit(value: float, limit: float, unit: str) -> tuple[str, 
     if unit.startswith(_RATIO_WORDS):
         words = unit.removeprefix("relative")
         joint = "" if words.startswith(",") else " "
-        return f"{100 * value:.3g} %{joint}{words}".rstrip(), f"{100 * limit:.3g} %"
+        text = format_percent(value) if limit >= MIN_RATIO_IN_PERCENT else f"{100 * value:.3g} %"
+        return f"{text}{joint}{words}".rstrip(), f"{100 * limit:.3g} %"
     if value == 0.0 and scalable and math.isfinite(limit):
         power = get_prefix_exponent(limit)
-        return f"0 {PREFIXES[power]}{_SHOWN_UNITS.get(unit, unit)}", format_quantity(limit, unit, 3)
-    comparable = value and limit and 1e-3 < abs(limit / value) < 1e4
-    if not scalable or not comparable or not math.isfinite(value + limit):
+        return f"0 {PREFIXES[power]}{show_unit(unit)}", format_quantity(limit, unit, 3)
+    power = get_prefix_exponent(value) if math.isfinite(value) else 0
+    # with the prefix of the value, the limit has at most three digits before the decimal point
+    comparable = value and 10.0 ** (power - 2) <= abs(limit) < 10.0 ** (power + 3)
+    if not scalable or not comparable or not math.isfinite(value):
         return format_quantity(value, unit, 3), format_quantity(limit, unit, 3)
-    power = get_prefix_exponent(value)
-    digits_text = f"{abs(limit) / 10.0**power:.10g}"
-    digits = max(3, len(digits_text.partition(".")[0]))
-    return _format_with_prefix(value, unit, 3, power), _format_with_prefix(
-        limit, unit, digits, power
-    )
+    return _format_with_prefix(value, unit, 3, power), _format_with_prefix(limit, unit, 3, power)

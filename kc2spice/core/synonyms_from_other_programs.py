@@ -1,6 +1,6 @@
-"""Names of other programs and their kc2spice equivalents, for hints in errors.
+"""Names from other programs and their kc2spice equivalents, for hints in errors.
 
-All names of other programs are in lower case, without spaces or punctuation.
+Names that other programs use are stored in lower case, without spaces or punctuation.
 """
 
 # kc2spice part types, keyed by the device names that other programs use.
@@ -69,6 +69,9 @@ CHOICE_SYNONYMS = {
     "hinged": "simply_supported",
     "unsupported": "free",
 }
+
+# For a choice that a synonym may not mean: another choice, and the meaning of both choices.
+OTHER_MEANINGS = {"clamped": ("cantilever", "both ends", "one end")}
 
 # For each common quantity name: the scene key to use instead, and a hint for the user.
 REPLACED_KEYS = {

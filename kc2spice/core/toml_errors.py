@@ -432,7 +432,7 @@ def _make_incomplete_error(lines: Sequence[str], number: int, label: str) -> Usa
         if start is None:
             continue
         if not start[2]:
-            problem, hint = "the value of this key is missing", f"write a value behind {start[1]} ="
+            problem, hint = "the value of this key is missing", f"write a value after {start[1]} ="
         elif place < len(lines) and lines[place].lstrip().startswith("{"):
             problem = "a list of tables needs square brackets"
             hint = f"write  {start[1]} = [  in line {place}, and  ]  in place of the last }}"
@@ -476,7 +476,7 @@ def _make_duplicate_error(
     line = _quote_line(lines, number)
     _, header = _parse_header(line)
     name = f"[{header}]" if header else line.partition("=")[0].strip()
-    first = _find_first_line(lines, number, name)
+    first = _find_earlier_definition(lines, number, name)
     kind = "table" if header else "key"
     action = f"rename the second {name} (line {number}), or delete it with its keys"
     if not header:
@@ -491,8 +491,8 @@ def _make_duplicate_error(
     )
 
 
-def _find_first_line(lines: Sequence[str], number: int, name: str) -> int | None:
-    """Find the earlier line of a TOML file that already defines a table or key.
+def _find_earlier_definition(lines: Sequence[str], number: int, name: str) -> int | None:
+    """Find the earlier definition of a table or key in a TOML file: its line number.
 
     ``name`` is the header of a table, or a key of the table that contains line ``number``.
     """

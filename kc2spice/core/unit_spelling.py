@@ -46,8 +46,14 @@ _FOREIGN_UNITS = {
 # a range such as 1 g:2 g:5, or a list such as 1 g,2 g or 1 g;2 g
 _SEVERAL_VALUES = re.compile(r"\s*([-+]?[\d.]+\s*[A-Za-z%/]*)\s*[:;]\s*[-+]?\d|"
                              r"\s*([-+]?[\d.]+\s*[A-Za-z%/]+)\s*,\s*[-+]?\d")  # fmt: skip
+# a range such as 100 .. 1000, 1 g to 2 g or 100-1000; a hyphen after a letter belongs to a unit
+_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+_TWO_ENDS = re.compile(
+    rf"\s*({_NUMBER}[^.…]*?)\s*(\.\.+|…|\bto\b|(?<=[\d\s])[-–])\s*({_NUMBER}[^.…]*(?:\.\d[^.…]*)?)"
+)
 
-# Values of usual size, keyed by SI unit. For other units, the example is 1.
+# Example quantities in error messages, keyed by SI unit.
+# For an SI unit without an entry, the example quantity is 1 of this unit, such as 1 V.
 _EXAMPLES = {
     "m": "1 mm", "kg": "1 g", "s": "1 ms", "Hz": "1 kHz", "F": "1 nF", "H": "1 mH", "m3": "1 cm3",
     "m2": "1 mm2", "A": "1 mA",
@@ -57,8 +63,31 @@ _EXAMPLES = {
 def is_range_or_list(value: object) -> bool:
     """Return whether a text is a range such as 1 g:2 g:5, or a list such as 1 g,2 g."""
     # long texts are not compared, because the time of the comparison grows faster than the length
-    is_short = isinstance(value, str) and len(value) <= MAX_QUANTITY_LENGTH
-    return is_short and _SEVERAL_VALUES.match(str(value)) is not None
+    if not isinstance(value, str) or len(value) > MAX_QUANTITY_LENGTH:
+        return False
+    return _SEVERAL_VALUES.match(value) is not None or find_range_ends(value) is not None
+
+
+def find_range_ends(text: str, *, hyphen: bool = True) -> tuple[str, str] | None:
+    """Find both ends of a range that is written with dots, ``to`` or a hyphen.
+
+    Return None if the text is not a range. If only one end of an increasing range has a unit, the
+    result contains this unit twice. Without ``hyphen``, a hyphen is no separator, because names can
+    contain hyphens.
+
+    >>> find_range_ends("100 .. 1000"), find_range_ends("1 to 2 mm"), find_range_ends("1e-3 m")
+    (('100', '1000'), ('1 mm', '2 mm'), None)
+    """
+    match = _TWO_ENDS.fullmatch(text.rstrip()) if len(text) <= MAX_QUANTITY_LENGTH else None
+    if match is None or (match[2] in "-–" and not hyphen):
+        return None
+    ends = NUMBER_WITH_UNIT.fullmatch(match[1]), NUMBER_WITH_UNIT.fullmatch(match[3])
+    if ends[0] and ends[1] and float(ends[0][1]) < float(ends[1][1]):
+        low, high = (
+            f"{end[1]} {end[2] or ends[0][2] or ends[1][2]}".strip() for end in ends if end
+        )
+        return low, high
+    return match[1], match[3]
 
 
 def give_example(si: str) -> str:
@@ -93,9 +122,12 @@ def suggest_spelling(value: object, si: str) -> str | None:
         return _make_form_hint(si)
     if len(value) > MAX_QUANTITY_LENGTH:
         return f"write a number of at most {MAX_QUANTITY_LENGTH} characters"
-    if several := _SEVERAL_VALUES.match(value):
-        first = (several[1] or several[2]).strip()
-        return f'write one value, such as  "{first}"; kc2spice sweep accepts a range or a list'
+    if is_range_or_list(value):
+        several, ends = _SEVERAL_VALUES.match(value), find_range_ends(value)
+        first = (several[1] or several[2] if several else ends[0] if ends else "").strip()
+        if re.fullmatch(_NUMBER, first) is None:  # a text between quotes needs a unit
+            first = f'"{first}"'
+        return f"write one value, such as  {first}; kc2spice sweep accepts a range or a list"
     match = NUMBER_WITH_UNIT.fullmatch(value.rstrip())
     typed = None if match is None else _TypedQuantity(value.strip(), match[1], match[2])
     if typed is not None:
@@ -179,7 +211,8 @@ def _complete_unit(typed: _TypedQuantity, si: str) -> str | None:
     return None
 
 
-# Functions that suggest corrections of a text that begins with a number, in the order of trials.
+# Functions that suggest a correction of a text that begins with a number.
+# ``suggest_spelling`` calls the functions in this order, until one of them returns a suggestion.
 _CORRECTIONS = (
     _suggest_unit_symbol,
     _suggest_kelvin,
@@ -215,7 +248,11 @@ def _suggest_unit(typed: _TypedQuantity | None, si: str) -> str:
     base = "g" if si == "kg" else si  # unit without a prefix
     if parse_unit(unit) is not None:
         prefix = unit[:1] if unit not in UNITS and unit[1:] in UNITS and base in UNITS else ""
-        same = f"{prefix}{base}" if prefix else si
+        usual = give_example(si).removeprefix("1 ")
+        same = f"{prefix}{base}"
+        # a large prefix is usual for ohms, but not for metres
+        if not prefix or _find_scale(usual) < _find_scale(si) < _find_scale(same):
+            same = usual
         return f'write  "{number} {same}"  if the value is in {same}' if si else f"write {number}"
     units = [f"{prefix}{base}" for prefix in ("", *UNIT_PREFIXES)]
     lower = {item.lower(): item for item in reversed(units)}
@@ -227,6 +264,13 @@ def _suggest_unit(typed: _TypedQuantity | None, si: str) -> str:
     if similar or not si:
         return f'write  "{number} {similar[0]}"' if similar else f"write {number}"
     return f'write  "{number} {si}"  if the value is in {si}'
+
+
+def _find_scale(unit: str) -> int:
+    """Return the power of ten of a unit relative to kilogram, metre, second and ampere."""
+    scale = parse_unit(unit)
+    assert scale is not None, f"{unit!r} is not a unit"
+    return scale[0]
 
 
 def _abbreviate_prefix(match: re.Match[str]) -> str:

@@ -14,7 +14,7 @@ from functools import cached_property
 from itertools import pairwise
 from operator import itemgetter
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from pydantic import Field
@@ -23,8 +23,8 @@ from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Count, Frequency, Section, Time
 
-# Largest number of pulses of a finite train.
-# The largest finite train has as many corners as the largest waveform file has rows.
+# Largest number of pulses in a finite pulse train.
+# A train of 25 000 pulses has 100 000 corners, as many as a waveform file may have rows.
 MAX_PULSES = 25_000
 
 
@@ -139,7 +139,9 @@ def interpolate(at: Any, scale: np.ndarray, values: np.ndarray) -> Any:
     return np.interp(at, scale[::direction], values[::direction])
 
 
-FLAT_TOP_RATIO = 1e-6  # duration of the flat top of a periodic triangle, relative to the rise time
+# Periodic triangles are written as trapezoids, because ngspice does not end a pulse of zero width.
+# FLAT_TOP_RATIO is the duration of the trapezoid's flat top, divided by the rise time.
+FLAT_TOP_RATIO = 1e-6
 # Period [s] that is written for a single pulse; every run is shorter.
 # Newer versions of ngspice repeat a ``PULSE`` without a period.
 ENDLESS_PERIOD = 1e4
@@ -174,6 +176,12 @@ class SineKeys(Section):
 
     Before the time ``start``, the waveform is zero.
     """
+
+    unsupported_key_hints: ClassVar[Mapping[str, str]] = dict.fromkeys(
+        ("offset", "dc_offset", "dc", "bias"),
+        'for a constant offset, add  [bias]  with  part = "source", the same kind and the key `dc`,'
+        ' and write  pins = { ret = "bias.out" }  in the source with the sine',
+    )
 
     amplitude: float | str = Field(
         1.0, description="Amplitude of the sine, in the unit of the source"
@@ -223,7 +231,8 @@ class Waveform:
     def step_limit(self) -> float:
         """Largest time step [s] that an integrator may use for the waveform.
 
-        With longer steps, an integrator could miss two zeros of a function that detects an event.
+        With longer steps, an integrator could step over two neighbouring zeros of an event function
+        and miss both events.
         """
         return np.inf if self.is_piecewise_linear else 0.05 / self.frequency
 
@@ -261,9 +270,9 @@ class Waveform:
     def compute_derivative(self, t: Any, within: Any, order: int = 1) -> Any:
         """Compute a time derivative of the waveform at several times.
 
-        ``order`` is the order of the derivative, and ``t`` contains the times. The derivative jumps
-        at each corner. At a corner of the waveform, the function returns the one-sided derivative
-        on the side that contains the corresponding time in ``within``.
+        ``order`` is the order of the derivative, and ``t`` contains the times. ``within`` is one
+        time, or one time for each entry of ``t``. At a corner of the waveform, a time ``within``
+        before the corner selects the left derivative, and a later time the right derivative.
         """
         if not self.is_piecewise_linear:
             return self._evaluate_sine(t, within, order)

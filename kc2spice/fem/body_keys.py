@@ -62,7 +62,7 @@ class DampingKeys(Section):
     ratio: Ratio | tuple[Ratio, Ratio] | None = Field(
         None,
         description=(
-            "Damping ratio (fraction of critical damping) at the frequency `at`, or two "
+            "Damping ratio (fraction of critical damping) at `damping.at`, or two "
             "damping ratios for two frequencies"
         ),
     )
@@ -71,15 +71,15 @@ class DampingKeys(Section):
         gt=0,
         description=(
             "Mechanical Q factor of the body, 1 / (2 * ratio); can be stated instead of "
-            "the key `ratio`"
+            "`damping.ratio`"
         ),
     )
     loss_factor: Ratio | None = Field(
         None,
         ge=0,
         description=(
-            "Mechanical loss factor of the body, 2 * ratio; can be stated instead of the "
-            "key `ratio`"
+            "Mechanical loss factor of the body, 2 * ratio; can be stated instead of "
+            "`damping.ratio`"
         ),
     )
     per_material: bool = Field(
@@ -120,7 +120,7 @@ class DampingKeys(Section):
 
     @model_validator(mode="after")
     def _reject_rayleigh_keys(self) -> DampingKeys:
-        """Reject keys that cannot be combined with ``model = "ieee176"``."""
+        """Reject keys of Rayleigh damping together with ``model = "ieee176"``."""
         if self.model == "ieee176":
             others = {"per_material": self.per_material, "alpha": self.alpha}
             others["two ratios"] = isinstance(self.ratio, tuple)
@@ -193,6 +193,17 @@ class DampingKeys(Section):
         if isinstance(self.ratio, tuple):
             return max(self.ratio)
         return 0.01 if self.ratio is None else self.ratio
+
+    @property
+    def key_at_first_resonance(self) -> str:
+        """Damping key whose value applies at the first resonance; empty if none is stated.
+
+        With the key ``at``, or with complex constants, no value depends on the first resonance.
+        """
+        if self.at is not None or self.model == "ieee176":
+            return ""
+        names = ("ratio", "quality", "loss_factor", "per_material")
+        return next((name for name in names if getattr(self, name)), "")
 
     def find_ratio_frequency(self, resonance_hz: float | None) -> float | None:
         """Return the frequency [Hz] at which the damping ratio is :attr:`zeta`."""

@@ -229,7 +229,7 @@ def _reject_invalid_directions(
             f"row {rows[out[0]]}: the poling is not in the plane of the axisymmetric mesh",
             got=f"py = {directions[out[0], 1]:g}",
             expected="py = 0",
-            hint="use a mesh in three dimensions for a poling along the hoop direction",
+            hint="use a 3D mesh for a poling along the hoop direction",
         )
 
 

@@ -85,13 +85,13 @@ def compute_magnetostatic_table(
         magnet and the coils together.
     SimulationError : a computed field does not satisfy the field equations.
     """
-    positions = choose_compared_count(catch.positions)
+    positions = choose_compared_height_count(catch.positions)
     settings = {"refine": catch.refine / 2, "positions": positions}
     rough = catch.model_copy(update=settings)  # refine may be below 1, unlike in a scene
     return replace(_sweep_heights(catch, radius, progress), coarser=_sweep_heights(rough, radius))
 
 
-def choose_compared_count(count: int) -> int:
+def choose_compared_height_count(count: int) -> int:
     """Choose the count of sphere heights at which two meshes are compared.
 
     At these heights, the field is also solved with a coarser mesh. At least five of the ``count``
@@ -155,9 +155,10 @@ def get_ring_direction(catch: CatchKeys) -> float:
 
 @dataclass(frozen=True, eq=False)
 class FieldEquations:
-    """Magnetic field equations ``matrix @ a = loads`` for one height of the sphere.
+    """Magnetic field equations of magnets, coils and a sphere at one height.
 
-    The equations determine the ``free`` unknowns. All other unknowns are zero.
+    The equations ``matrix @ a = loads`` determine the ``free`` unknowns. All other unknowns are
+    zero.
     """
 
     matrix: sparse.csc_array
@@ -233,7 +234,9 @@ def make_field_assembler(catch: CatchKeys, bore: BoreLattice) -> Callable[[float
     """
     mesh, sphere = mesh_mover(bore)
     coercivity = catch.remanence / (catch.mu_r * MU_0)
-    moved = _assemble_mesh(catch, mesh, sphere, {SPHERE: (_remanence_load, coercivity, sphere)})
+    moved = _compute_element_matrices(
+        catch, mesh, sphere, {SPHERE: (_remanence_load, coercivity, sphere)}
+    )
     r, y = moved.points
     edge = 1e-6 * bore.pitch
     rim = np.flatnonzero((r > bore.wall - edge) | (np.abs(y) > bore.half - edge))
@@ -257,7 +260,7 @@ def make_field_assembler(catch: CatchKeys, bore: BoreLattice) -> Callable[[float
     for column, coil, inside in zip((LOWER, UPPER), (catch.lower, catch.upper), coils, strict=True):
         density = catch.turns / ((coil.outer - coil.inner) * coil.height)
         sources[column] = (_current_load, density, inside)
-    stator = _assemble_mesh(catch, mesh, ring, sources)
+    stator = _compute_element_matrices(catch, mesh, ring, sources)
     movable = (r < bore.wall) & (y > bore.bottom) & (y < bore.bottom + bore.rows * bore.pitch)
     _, low, right, high = get_air_section(catch)
     r, y = stator.points
@@ -296,7 +299,7 @@ def make_field_assembler(catch: CatchKeys, bore: BoreLattice) -> Callable[[float
     return assemble_equations
 
 
-def _assemble_mesh(
+def _compute_element_matrices(
     catch: CatchKeys,
     mesh: MeshTri2,
     magnet: np.ndarray,
@@ -349,7 +352,7 @@ def _stiffness_derivative(u: Any, v: Any, w: Any) -> np.ndarray:
 
 @LinearForm
 def _remanence_load(v: Any, w: Any) -> np.ndarray:
-    """Return the integrand of the load vector for an axial remanence of mu * 1 A/m."""
+    """Return the load integrand of an axial remanence for a coercivity of 1 A/m."""
     r = w.x[0]
     return 2 * pi * r * (2 * v + r * v.grad[0])
 

@@ -132,11 +132,11 @@ class RingCells:
 def _compute_section_mutuals(
     r: np.ndarray, z: np.ndarray, other: np.ndarray, height: np.ndarray, logs: np.ndarray
 ) -> np.ndarray:
-    """Compute the mutual inductances [H] of each of n rings with each of m rings.
+    """Compute the mutual inductances [H] of rings with rectangular sections.
 
-    The rings have rectangular sections. The mutual inductances of circles are corrected for the
-    size of the sections. ``logs`` contains the mean logarithms of the distance between points of
-    two sections. Both ``logs`` and the returned array have the shape (n, m).
+    Each of n rings is coupled to each of m rings. The mutual inductances of circles are corrected
+    for the size of the sections. ``logs`` contains the mean logarithms of the distance between
+    points of two sections. Both ``logs`` and the returned array have the shape (n, m).
     """
     r, z = r[:, None], z[:, None]
     same = (r == other) & (z == height)
@@ -335,14 +335,16 @@ class LoopModel(EqualByContent):
 
     @property
     def facts(self) -> dict[str, float]:
-        """Facts of the loop model: numbers and error estimates of its rings and loops."""
+        """Facts of the loop model: counts and error estimates of its rings and loops."""
         if not self.rates.size:
             return {}
         known = {"rings": float(self.rings), "loops": float(self.rates.size)}
         return known | {f"{MESH_ERROR_PREFIX}rings": self.ring_error, "loop_error": self.error}
 
-    def compute_effect(self, heights: np.ndarray, s: complex, conductivity: float) -> CurrentEffect:
-        """Compute the effect of the body's currents on the coils.
+    def compute_eddy_current_effect(
+        self, heights: np.ndarray, s: complex, conductivity: float
+    ) -> EddyCurrentEffect:
+        """Compute the effect of the body's eddy currents on the fluxes of the coils.
 
         ``heights`` [m] contains the positions of the body along the common axis, for which the
         effect is computed. ``s`` [1/s] is the Laplace variable, and ``conductivity`` [S/m] is the
@@ -355,12 +357,12 @@ class LoopModel(EqualByContent):
         slope = np.einsum("ckd,yd->cyk", slopes, powers[:, :-1]) * 2 / (self.high - self.low)
         share = s * conductivity / (self.rates + s * conductivity)
         form = "iyk,jyk,k->ijy"
-        return CurrentEffect(np.einsum(form, m, m, share), np.einsum(form, slope, m, share))
+        return EddyCurrentEffect(np.einsum(form, m, m, share), np.einsum(form, slope, m, share))
 
 
 @dataclass(frozen=True, eq=False)
-class CurrentEffect(EqualByContent):
-    """Effect of a body's currents on the fluxes of coils.
+class EddyCurrentEffect(EqualByContent):
+    """Effect of a conducting body's eddy currents on the fluxes of coils.
 
     The last axis of both arrays is the height of the body. ``flux`` (c, c, heights) [H] is the
     reduction of the flux in the first coil for each ampere in the second coil. ``slope`` (c, c,
@@ -371,7 +373,7 @@ class CurrentEffect(EqualByContent):
     flux: np.ndarray
     slope: np.ndarray
 
-    def find_largest_difference(self, exact: CurrentEffect) -> float:
+    def find_largest_difference(self, exact: EddyCurrentEffect) -> float:
         """Return the largest relative difference of flux, slope or loss from a reference.
 
         ``exact`` is the reference.
@@ -382,18 +384,18 @@ class CurrentEffect(EqualByContent):
         return max(float((np.abs(a - b).max(-1) / np.abs(b).max(-1)).max()) for a, b in pairs)
 
 
-def compare_rings(
+def compare_loops_with_rings(
     body: RingCells,
     ladder: LoopModel,
     coils: Sequence[Winding],
     magnets: Sequence[Winding],
     conductivity: float,
 ) -> float:
-    """Compare a loop model with all rings of a body; return the largest error.
+    """Compare current loops with all rings of a body; return the largest error.
 
     The ring currents are computed without modes, at several heights and at frequencies up to the
-    largest frequency of the loop model. :meth:`CurrentEffect.find_largest_difference` defines the
-    relative difference.
+    largest frequency of the loop model. :meth:`EddyCurrentEffect.find_largest_difference` defines
+    the relative difference.
     """
     half, middle = (ladder.high - ladder.low) / 2, (ladder.high + ladder.low) / 2
     heights = middle + half * chebyshev.chebpts1(COMPARED_HEIGHTS)
@@ -406,10 +408,12 @@ def compare_rings(
         impedance = body.inductance + np.diag(body.resistance / (1j * speed * conductivity))
         currents = np.linalg.solve(impedance, m.reshape(-1, body.r.size).T).T.reshape(m.shape)
         form = "iyn,jyn->ijy"
-        exact = CurrentEffect(np.einsum(form, m, currents), np.einsum(form, slope, currents))
+        exact = EddyCurrentEffect(np.einsum(form, m, currents), np.einsum(form, slope, currents))
         worst = max(
             worst,
-            ladder.compute_effect(heights, 1j * speed, conductivity).find_largest_difference(exact),
+            ladder.compute_eddy_current_effect(
+                heights, 1j * speed, conductivity
+            ).find_largest_difference(exact),
         )
     return worst
 
@@ -478,7 +482,7 @@ def make_current_loop(
     high: float,
     tolerance: float,
 ) -> LoopModel:
-    """Make a loop model of a single loop, whose current flows in prescribed sheets.
+    """Make the model of one current loop from the current sheets that form the loop.
 
     The current distribution consists of the current ``sheets`` and forms one loop.
     :func:`reduce_to_loops` describes the other arguments.

@@ -240,9 +240,9 @@ class Material(EqualByContent):
         """Compute stiffness, coupling and permittivity at n places.
 
         The returned tensors are in the axes of the body. The stiffness has the shape (n, 6, 6), the
-        coupling (n, 3, 6), and the permittivity (n, 3, 3). Each point in ``places`` (n, 3) [m] is
-        in one of the ``elements`` (n,). Without :attr:`local_axes`, the tensors are the same
-        everywhere, and n = 1.
+        coupling (n, 3, 6), and the permittivity (n, 3, 3). Point i of ``places`` (n, 3) [m] lies in
+        the element with the number ``elements[i]``. Without :attr:`local_axes`, the tensors are the
+        same everywhere, and n = 1.
         """
         if self.local_axes is None:
             return self.C[None], self.e[None], self.eps_S[None]
@@ -828,6 +828,36 @@ def _list_library_names() -> dict[str, str]:
 def _load_material(name: str) -> Material:
     """Return the built-in material with a given name."""
     return MaterialTable.model_validate(_load_tables()[name]).build_material(name)
+
+
+# Lines that the table of a piezoelectric ceramic needs, keyed by the key of the line. The values
+# are those of PZT-5A.
+_CERAMIC_LINES = {
+    "symmetry": 'symmetry = "6mm"',
+    "strain_coupling": "strain_coupling = { d31 = -171e-12, d33 = 374e-12, d15 = 584e-12 }",
+    "permittivity": "permittivity = { eps11 = 1730, eps33 = 1700 }",
+    "permittivity_at": 'permittivity_at = "stress"',
+}
+
+
+def advise_missing_ceramic_keys(materials: Mapping[str, str | Mapping[str, Any]]) -> str | None:
+    """Return the hint that lists missing keys of a ceramic, or None.
+
+    ``materials`` contains the name or the table of each material of a body, by the key of the
+    material. No material of the body is piezoelectric. The hint belongs to the first table with a
+    permittivity, or otherwise to the first table of an insulator. Without such a table, the result
+    is None.
+    """
+    tables = {
+        key: item
+        for key, item in materials.items()
+        if isinstance(item, Mapping) and not item.get("conductor") and "like" not in item
+    }
+    if not tables:
+        return None
+    key = next((key for key, item in tables.items() if "permittivity" in item), next(iter(tables)))
+    missing = [line for name, line in _CERAMIC_LINES.items() if name not in tables[key]]
+    return f"add to {key}:  {', '.join(missing)}  with the values of the data sheet"
 
 
 def find_material(

@@ -256,7 +256,7 @@ def find_length_unit(path: Path, unit: str | None) -> float:
     sides = measure_extent(path)
 
     def format_sides(scale: float) -> str:
-        """Format the side lengths as text, multiplied by a scale factor."""
+        """Format the sides of the mesh's bounding box, multiplied by a scale factor."""
         return " x ".join(f"{float(f'{scale * side:.4g}'):.12g}" for side in sides)
 
     sizes = (
@@ -493,7 +493,8 @@ def _make_empty_mesh_error(dimension: int, grouped: int, where: str) -> UsageErr
     hint += f"gmsh.model.mesh.generate({dimension}) before gmsh.write"
     if grouped == 2 and dimension == 3:
         problem = "the mesh contains only faces, but shell elements are not supported"
-        hint = "extrude the faces to their thickness, or set axisymmetric = true for a half plane"
+        hint = "extrude the faces to solids, or set axisymmetric = true for the half section of a "
+        hint += "body of revolution"
     expected = f"{shape}, prisms or hexahedra in each solid of the body"
     if dimension == 2:
         expected = "triangles or quadrilaterals in each face of the body"

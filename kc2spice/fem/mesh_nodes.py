@@ -85,7 +85,7 @@ def reject_unconnected_solids(
     expected = "one common node for all elements that touch at a point"
     apart = "merge = 0 keeps the solids separate"
     if len(pairs):
-        got = f"{len(pairs)} pairs of nodes at one place, "
+        got = f"{len(pairs)} pairs of coincident nodes, "
         got += _describe_nodes(points, pairs.ravel(), blocks, owners)
         raise wrong(
             where,

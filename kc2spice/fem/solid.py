@@ -53,10 +53,14 @@ THIN_ELEMENT_TOLERANCE = 1e-8
 
 
 class FacetMapping(MappingIsoparametric):
-    """Isoparametric mapping with an inverse that also converges in very thin elements."""
+    """Isoparametric mapping of facets; its inverse also converges in thin elements."""
 
     def invF(self, x: np.ndarray, tind: Any = None, **options: Any) -> np.ndarray:
-        """Return the local coordinates of points ``x`` in the elements ``tind``."""
+        """Invert the mapping F: return the local coordinates of points in elements.
+
+        ``x`` (d, elements, points) contains the coordinates of the points, and ``tind`` the indices
+        of the elements.
+        """
         try:
             return np.asarray(super().invF(x, tind, **options))
         except Exception:  # scikit-fem raises the base class Exception
@@ -106,10 +110,10 @@ class Solid:
                     "this material twists an axisymmetric body under a voltage",
                     got=material.name,
                     expected="a poling in the plane of the mesh",
-                    hint='use a mesh in three dimensions (part = "body" without axisymmetric)',
+                    hint='use a 3D mesh (part = "body" without axisymmetric)',
                 )
             if material.local_axes is None and not material.is_isotropic_about_z:
-                hint = 'use a mesh in three dimensions (part = "body"), or enter constants '
+                hint = 'use a 3D mesh (part = "body"), or enter constants '
                 hint += "averaged in the plane; for a ring with radial poling, write  "
                 hint += 'poling = { GROUP = "radial" }'
                 raise wrong(
@@ -161,7 +165,7 @@ class Solid:
         """Return the scalar finite-element basis with one degree of freedom per node."""
         if "quadrature" not in options:
             options["intorder"] = order or self.quadrature_degree
-        return skfem.Basis(self.mesh, self.element, dofs=self._prescribed_dofs, **options)
+        return skfem.Basis(self.mesh, self.element, dofs=self._dof_numbering, **options)
 
     def make_facet_basis(
         self, facets: np.ndarray, order: int, side: Literal[0, 1] = 0
@@ -170,7 +174,7 @@ class Solid:
         options: dict[str, Any] = {
             "facets": facets,
             "intorder": order,
-            "dofs": self._prescribed_dofs,
+            "dofs": self._dof_numbering,
         }
         if not self.mesh.affine:
             options["mapping"] = FacetMapping(self.mesh, self.mesh.elem(), self.mesh.bndelem)
@@ -184,12 +188,8 @@ class Solid:
         return np.asarray(self.basis(1).doflocs)
 
     @cached_property
-    def _prescribed_dofs(self) -> skfem.Dofs | None:
-        """Numbering of the degrees of freedom if ``numbers`` is stated, otherwise None.
-
-        The field :attr:`numbers` prescribes the node numbers. If ``numbers`` is None, scikit-fem
-        numbers the nodes.
-        """
+    def _dof_numbering(self) -> skfem.Dofs | None:
+        """Dof numbering by the field ``numbers``; None if scikit-fem numbers the nodes."""
         if self.numbers is None:
             return None
         result = skfem.Dofs(self.mesh, self.element)

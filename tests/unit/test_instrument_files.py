@@ -55,7 +55,7 @@ def test_files_of_real_instruments():
         data = read_measured(FILES / name)
         assert data.f == pytest.approx(f)
         assert 1 / data.Y[:, 0, 0] == pytest.approx(polar(size, angle))
-    assert data.notes == ("Impedance (O): unit O, taken as Ohm",)
+    assert data.notes == ("Impedance (O): unit O, read as Ohm",)
 
 
 def test_a_real_gain_is_the_resistor_that_was_measured():
@@ -63,7 +63,7 @@ def test_a_real_gain_is_the_resistor_that_was_measured():
     data = read_measured(FILES / "rohde_schwarz_gain.csv", parse_shunt_resistance("100 Ohm"))
     low = data.f < 1e5
     assert np.abs(1 / data.Y[low, 0, 0] / 47.0 - 1).max() < 0.05
-    assert "shunt over source, through 100 Ohm" in " ".join(data.notes)
+    assert "with a shunt of 100 Ohm" in " ".join(data.notes)
 
 
 def test_a_shunt_selects_the_gain_beside_an_impedance(tmp_path):
@@ -101,7 +101,10 @@ def test_the_commands_accept_a_shunt(tmp_path):
     assert done.exit_code == 0, done.output
     text = " ".join(done.output.split())
     assert "gain [dB] from 'Gain in dB', phase [°] from 'Phase in °'" in text
-    assert "note: gain: voltage of shunt over source, through 100 Ohm in series" in text
+    assert (
+        "note: gain: shunt voltage divided by source voltage, with a shunt of 100 Ohm in series"
+        in text
+    )
     for value, message in (("-3 Ohm", "not a resistance"), ("3 kg", "Ohm")):
         done = CliRunner().invoke(app, [*words, value])
         assert done.exit_code == 2
@@ -158,7 +161,7 @@ AMBIGUOUS = {
     "E5061B": (
         "a.csv", '"# Channel 1"\n"# Trace 1"\nFrequency, Formatted Data, Formatted Data\n'
         + rows(F, S.real, S.imag, separator=", "),
-        ("'Formatted Data'", "real and imaginary part of S11 or Z", "beside zeros"),
+        ("'Formatted Data'", "real and imaginary parts of S11 or Z", "and a column of zeros"),
     ),
     "real and imag": ("a.csv", "freq,real,imag\n" + rows(F, Z.real, Z.imag),
                       ("'real'", "R in Ohm or G in S")),
@@ -179,9 +182,13 @@ AMBIGUOUS = {
         ("the comma separates the 3 columns, and it is also the decimal character",
          "semicolons between the columns")),
     "radians that are degrees": (
-        "a.csv", "FREQ[Hz],Z[ohm],PHASE[rad]\n" + rows(F, abs(Z), DEG), ("exceeds a full turn",)),
+        "a.csv", "FREQ[Hz],Z[ohm],PHASE[rad]\n" + rows(F, abs(Z), DEG),
+        ("exceeds a full turn", "write the title PHASE[deg] if the phases are in degrees")),
+    "degrees beyond a full turn": (
+        "a.csv", "FREQ[Hz],Z[ohm],PHASE[deg]\n" + rows(F, abs(Z), DEG - 720),
+        ("exceeds a full turn", "subtract full turns")),
     "farad squared": (
-        "a.csv", "Freq(Hz),Cp(FF),D\n" + rows(F, Y.imag, Y.real), ("'FF' is no unit",)),
+        "a.csv", "Freq(Hz),Cp(FF),D\n" + rows(F, Y.imag, Y.real), ("'FF' is not a unit",)),
     "milli or mega": ("a.csv", "FREQ(HZ),R(MOHM),X(MOHM)\n" + rows(F, Z.real, Z.imag),
                       ("'MOHM'", "milli or mega")),
     "words in rows": (
@@ -213,7 +220,7 @@ def test_a_touchstone_file_with_two_kinds_or_negative_magnitudes_is_refused(tmp_
         with pytest.raises(REFUSED, match=words):
             read_measured(path)
     path = written(tmp_path, "a.s1p", "# S RI R 50\n" + rows(F, S.real, S.imag, separator=" "))
-    assert "no unit of frequency, taken as GHz" in " ".join(read_measured(path).notes)
+    assert "no frequency unit; GHz is assumed" in " ".join(read_measured(path).notes)
 
 
 def test_a_port_that_was_not_driven_is_refused(tmp_path):
@@ -603,6 +610,30 @@ def test_a_wrong_resistance_at_zero_frequency_lists_the_word_open(tmp_path):
     for typed in ("closed", "0 Ohm"):
         with pytest.raises(REFUSED) as caught:
             reduce_file(path, tmp_path / "out", dc=typed)
-        assert "the word open for a one-port without direct current" in caught.value.expected
+        assert "the word open for a one-port without a DC path" in caught.value.expected
         assert caught.value.hint
     assert reduce_file(path, tmp_path / "out", dc="open")["error_estimate"] < 1e-3
+
+
+@pytest.mark.parametrize("title", ["Phase (rad)", "PHASE[rad]", "phase_rad", "theta / rad"])
+def test_the_advised_title_of_degrees_in_a_column_of_radians(tmp_path, title):
+    def read(title):
+        text = f"f_hz,|Z| (Ohm),{title}\n" + rows(F, abs(Z), DEG)
+        return read_measured(written(tmp_path, "a.csv", text))
+
+    with pytest.raises(REFUSED) as caught:
+        read(title)
+    advised = caught.value.hint.removeprefix("write the title  ").partition("  if")[0]
+    assert advised == title.replace("rad", "deg")
+    np.testing.assert_allclose(read(advised).Y[:, 0, 0], Y, rtol=1e-3)
+
+
+def test_the_advised_title_of_a_column_with_a_wrong_unit(tmp_path):
+    def read(title):
+        return read_measured(
+            written(tmp_path, "a.csv", f"f_hz,{title},X\n" + rows(F, Z.real, Z.imag))
+        )
+
+    with pytest.raises(REFUSED, match="not a unit of") as caught:
+        read("R (kg)")
+    read(caught.value.hint.partition("write the title  ")[2])

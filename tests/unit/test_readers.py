@@ -1,5 +1,7 @@
 """Readers of other tools' matrices: every format, every port selection, every refusal."""
 
+import re
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -375,6 +377,8 @@ def test_missing_packages_name_the_command(tmp_path, monkeypatch, package):
 
 FULL = """
 import numpy as np
+import re
+import warnings
 from pathlib import Path
 from scipy import sparse
 class FullFile:
@@ -585,7 +589,7 @@ def test_files_that_are_not_models_are_rejected(tmp_path, matrices, words):
         (TIP + TIP, ("the same name",)),
         (TIP + 'unit = "a b"\n', ("unit",)),
         ("[[fixed]]\nnode = 301\n" + TIP, ("fixed[0]", "301")),
-        ("[[fixed]]\ndof = 1\n" + TIP, ("fixed[0]", "names no nodes", "node = 1")),
+        ("[[fixed]]\ndof = 1\n" + TIP, ("fixed[0]", "selects no nodes", "node = 1")),
         ("[[fixed]]\nnodes = [7, 20, 300]\n" + TIP, ("fixed",)),
         ('[[ports]]\nname="e"\nkind="electrical"\nnode=7\n', ("volt",)),
         ('[[ports]]\nname="a"\nkind="acceleration"\n', ("axis",)),
@@ -649,3 +653,28 @@ def test_a_square_c_beside_m_and_k_is_damping_or_outputs_by_word_only(tmp_path):
         LinearModel(M=mass, C=C, K=stiff, B=load)
     assert LinearModel(M=mass, C=C, K=stiff, B=load, rayleigh=(0, 0)).pencil.is_undamped
     assert LinearModel(M=mass, C=np.eye(n), K=stiff, B=load).pencil.is_undamped
+
+
+@pytest.mark.parametrize("letter", ["M", "K"])
+def test_an_asymmetric_matrix_of_a_body_is_a_warning_with_its_size(letter, tmp_path):
+    """One entry of -1 is 2 % too large beside diagonal entries of 2, so 1 % of the largest one."""
+    n = 6
+    chain = 2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
+    matrices = {"M": np.eye(n) + 0.1 * chain, "K": chain, "B": np.eye(n)[:, :1]}
+    matrices[letter] = chain.copy()
+    matrices[letter][2, 3] *= 1.02
+    np.savez(tmp_path / "body.npz", **matrices)
+    port = '[[ports]]\nname = "tip"\nkind = "mechanical"\ncolumn = 1\n'
+    sidecar = tmp_path / "body.toml"
+    sidecar.write_text(port)
+    with pytest.warns(UserWarning, match=f"matrix {letter} is not symmetric.*up to 1 %") as caught:
+        read_model(tmp_path / "body.npz")
+    proposed = re.search(r"write  (.+)  into body\.toml", str(caught[0].message)).group(1)
+    for text in (f"{proposed}\n{port}", port.replace("mechanical", "acoustic"), None):
+        if text is None:
+            sidecar.unlink()  # signal pins, of which no product is a power
+        else:
+            sidecar.write_text(text)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            read_model(tmp_path / "body.npz")

@@ -92,7 +92,7 @@ def read_model(path: Path | str, sidecar: Path | str | None = None) -> LinearMod
 
 
 def read_affine_model(path: Path | str, sidecar: Path | str | None = None) -> AffineModel | None:
-    """Read matrices that depend on parameters as a model with these parameters.
+    """Read an affine model, whose matrices are sums with parameter-dependent factors.
 
     The TOML file beside the matrices contains the parameters and the factors of the matrices.
 
@@ -196,7 +196,7 @@ def _read_matrix_terms(
     }
     if settings.dofs is not None:
         dofs = raw_matrices.parse_file(
-            settings.dofs, "lines 'node,dof', one for each row", _parse_row_dofs
+            settings.dofs, "one line 'node,dof' for each matrix row", _parse_row_dofs
         )
         result = replace(result, dofs=dofs)
     terms = []
@@ -506,7 +506,7 @@ def _read_matrices(files: dict[str, Path]) -> raw_matrices.RawMatrices:
     dofs, names = abaqus.dofs, list(filter(raw_matrices.is_file, mapped))
     if names and dofs is None:
         size = next(m.shape[0] for k, m in result.items() if k in "MEKA")
-        expected = f"lines of equation, node and degree of freedom for {size} equations"
+        expected = f"one line 'equation node dof' for each of {size} equations"
         dofs = raw_matrices.parse_file(
             names[0], expected, partial(fem_program_formats.read_mapping, size=size)
         )

@@ -237,7 +237,8 @@ COMPLEX_FORMATS = {"complex z": ("Re(Z) (Ohm)", "Im(Z) (Ohm)"),
                    "complex y": ("Re(Y) (S)", "Im(Y) (S)")}  # fmt: skip
 # titles that do not state a quantity, and the possible quantities of their columns
 UNSTATED_QUANTITIES = {
-    "formatteddata": "real and imaginary part of S11 or Z; or one real quantity beside zeros"
+    "formatteddata": "real and imaginary parts of S11 or Z; or one real quantity and a column of "
+    "zeros"
 }
 
 

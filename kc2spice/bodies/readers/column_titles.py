@@ -47,6 +47,17 @@ _TRAILING_UNIT = re.compile(
 )
 
 
+class ColumnTitleError(ValueError):
+    """Error for a column whose title does not fit its values, or has no unique meaning.
+
+    ``advice`` is the hint of the error message.
+    """
+
+    def __init__(self, message: str, advice: str) -> None:
+        super().__init__(message)
+        self.advice = advice
+
+
 @dataclass(frozen=True)
 class Unit:
     """Unit of a table column: spelling, measured quantity and factor to SI.
@@ -103,7 +114,7 @@ def parse_units(text: str) -> list[Unit]:
 
     Raises
     ------
-    ValueError : the letter case makes the prefix ambiguous, such as in ``mhz`` or ``MF``.
+    ColumnTitleError : the letter case makes the prefix ambiguous, as in ``mhz`` or ``MF``.
     """
     plain = _clean_text(text).replace(" ", "")
     result = []
@@ -127,7 +138,7 @@ def _find_prefix_factor(prefix: str, base: str, measures: str, text: str) -> flo
 
     Raises
     ------
-    ValueError : the prefix may mean milli or mega.
+    ColumnTitleError : the prefix may mean milli or mega.
     """
     if len(prefix) > 1:
         return None
@@ -167,13 +178,13 @@ def read_title(text: str) -> ColumnTitle | None:
 
     Raises
     ------
-    ValueError : the title's unit does not belong to its quantity, the prefix of the unit is
+    ColumnTitleError : the title's unit does not belong to its quantity, the prefix of the unit is
         ambiguous, or a unit is missing that would identify the quantity.
     """
     plain = _clean_text(text).lstrip(COMMENT_MARKS).strip()
     sign = -1.0 if re.match(r"-\s*[^\s\d-]", plain) else 1.0
     plain = plain.lstrip("-+ ")
-    unfit = ""
+    unfit: ColumnTitleError | None = None
     for stem, unit_text in _split_unit(plain):
         words = _normalise_words(stem)
         meanings = [m for m in COLUMN_KINDS if re.fullmatch(m.names, words)]
@@ -183,9 +194,11 @@ def read_title(text: str) -> ColumnTitle | None:
             first = next((m for m in meanings if not m.needs_unit), None)
             if first is None:
                 choices = list(map(_describe_quantity, meanings))
-                raise ValueError(
+                raise ColumnTitleError(
                     f"column {text.strip()!r} has no unit; its values can be "
-                    f"{' or '.join(choices)}, so add the unit to the title"
+                    f"{' or '.join(choices)}, so add the unit to the title",
+                    f"if the values are in {DEFAULT_UNITS[meanings[0].measures[0]]}, write the "
+                    f"title  {_write_title(stem, meanings[0].measures[0])}",
                 )
             return ColumnTitle(text, first, sign, None)
         units = parse_units(unit_text)
@@ -194,10 +207,21 @@ def read_title(text: str) -> ColumnTitle | None:
                 if unit.measures in meaning.measures:
                     return ColumnTitle(text, meaning, sign, unit)
         measures = meanings[0].measures[0]
-        unfit = unfit or f"column {text.strip()!r}: {unit_text!r} is no unit of {measures}"
-    if unfit:
-        raise ValueError(unfit)
+        if unfit is None:
+            unfit = ColumnTitleError(
+                f"column {text.strip()!r}: {unit_text!r} is not a unit of {measures}",
+                f"if the values are in {DEFAULT_UNITS[measures]}, write the title  "
+                f"{_write_title(stem, measures)}",
+            )
+    if unfit is not None:
+        raise unfit
     return None
+
+
+def _write_title(stem: str, measures: str) -> str:
+    """Write a column title with the default unit of a measured quantity."""
+    unit = DEFAULT_UNITS[measures]
+    return f"{stem.strip()} ({unit})" if unit else stem.strip()
 
 
 def _describe_quantity(meaning: ColumnKind) -> str:
@@ -296,19 +320,19 @@ def convert_column(title: ColumnTitle, values: np.ndarray) -> Column:
 
     Raises
     ------
-    ValueError : the phase of an impedance exceeds a full turn.
+    ColumnTitleError : the phase of an impedance exceeds a full turn.
     """
     unit, note, name = title.unit, "", title.text.strip()
     doubt = ""
     if unit is None:
         unit = _assume_unit(title, values)
         if unit.text:
-            note = f"{name}: no unit, taken as {unit.text}"
+            note = f"{name}: no unit; {unit.text} is assumed"
     elif unit.text[-1:] in REPLACED_LETTERS:
         note = (
-            f"{name}: unit {unit.text}, taken as {unit.text[:-1]}{REPLACED_LETTERS[unit.text[-1:]]}"
+            f"{name}: unit {unit.text}, read as {unit.text[:-1]}{REPLACED_LETTERS[unit.text[-1:]]}"
         )
-    elif unit.measures == "angle" and unit.value != 1.0 and _fit_radians(values):
+    elif unit.measures == "angle" and unit.value != 1.0 and _are_probably_radians(values):
         largest = np.abs(values).max()
         doubt = (
             f"column {name!r}: no phase exceeds {largest:.3g} {unit.text}: if the phases are in "
@@ -317,11 +341,17 @@ def convert_column(title: ColumnTitle, values: np.ndarray) -> Column:
     scaled = 10 ** (values / 20) if unit.measures == "decibel" else unit.value * values
     if title.meaning.quantity in PASSIVE_PHASES and np.abs(scaled).max(initial=0.0) > MAX_PHASE:
         largest = np.abs(values).max()
-        raise ValueError(f"column {name!r}: {largest:.4g} {unit.text} exceeds a full turn")
+        advice = "subtract full turns, so that the phases are between -180 and 180 degrees"
+        if unit.value > UNITS["angle"]["deg"] and largest * UNITS["angle"]["deg"] <= MAX_PHASE:
+            begin, _, end = name.rpartition(unit.text)
+            advice = f"write the title  {begin}deg{end}  if the phases are in degrees"
+        raise ColumnTitleError(
+            f"column {name!r}: {largest:.4g} {unit.text} exceeds a full turn", advice
+        )
     return Column(title, title.sign * scaled, note, unit.text or "1", doubt)
 
 
-def _fit_radians(values: np.ndarray) -> bool:
+def _are_probably_radians(values: np.ndarray) -> bool:
     """Return whether angles are probably in radians: small, but widely varying."""
     largest, spread = RADIAN_LIMITS
     return bool(np.abs(values).max(initial=0.0) <= largest and np.ptp(values) > spread)
@@ -333,7 +363,7 @@ def _assume_unit(title: ColumnTitle, values: np.ndarray) -> Unit:
     if measures == "frequency" and re.search("ω|omega", title.text.lower()):
         return Unit("rad/s", measures, UNITS[measures]["rad/s"])
     if measures == "angle":
-        if _fit_radians(values):
+        if _are_probably_radians(values):
             return Unit("rad", measures, 1.0)
         return Unit("degrees", measures, np.pi / 180)
     return Unit(DEFAULT_UNITS[measures], measures, 1.0)

@@ -4,14 +4,14 @@ The input is either the tables of a file, or a list of columns with their titles
 :class:`MeasuredResponse`. A file with two possible meanings is rejected, and the error describes
 both meanings.
 
-The gain through a shunt is measured with a resistor R (the shunt) in series with the part Z. The
-gain g is the voltage across the shunt divided by the source voltage::
+In a gain measurement, a source drives the part Z in series with a resistor R, which is called the
+shunt. The gain g is the voltage across the shunt divided by the source voltage::
 
     g = R / (Z + R)        Z = R (1 / g - 1)        Y = (1 / R) g / (1 - g)
 
-The reflection ``S = 1 - 2 g`` with the reference resistance R represents the same admittance Y. The
-gain of a passive part is at most 1. If most samples of a measured gain are above 1, the file
-contains the inverse of the gain.
+The reflection ``S = 1 - 2 g`` with the reference resistance R represents the same admittance Y. If
+the part is passive, the voltage across the shunt is at most the source voltage, so the gain is at
+most 1. If most samples of a measured gain are above 1, the file contains the inverse of the gain.
 """
 
 from __future__ import annotations
@@ -58,19 +58,21 @@ AGREEMENT_LIMIT = 0.05
 MAX_REVERSAL_SHARE = 0.1
 MAX_TITLE_LENGTH = 50  # largest number of characters of column titles in an error message
 NAME_COLUMNS_HINT = "name the columns in the first line, such as  frequency_hz,real_ohm,imag_ohm"
-ONE_PART_HINT = "delete the columns or lines of the other one"
+ONE_PART_HINT = (
+    "keep one of the listed alternatives, and delete the columns or rows of the other alternatives"
+)
 
 
 @dataclass(frozen=True, eq=False)
 class MeasuredResponse(EqualByContent):
-    """Measured frequency response of a part: samples of S, Z or Y, and admittances.
+    """Measured samples of S, Z or Y, and the admittances computed from the samples.
 
     ``samples`` of shape (n, ports, ports) are values of the ``quantity`` S, Z or Y at the
     frequencies ``f`` (n,) [Hz]. ``Y`` contains the admittances [S] of the samples, an array of the
     same shape as ``samples``. ``reference`` (ports,) [Ohm] contains the reference resistances of S
     parameters. ``notes`` are assumptions of the reader, and ``columns`` describes the meaning of
-    the columns. ``doubt`` describes an unusual property of the data, and the correction of the file
-    if its format or unit is wrong; it is empty for usual data.
+    the columns. ``doubt`` describes a property of the data that suggests a wrong unit or format,
+    and how to correct the file. If the data fit the stated unit and format, ``doubt`` is empty.
     """
 
     f: np.ndarray
@@ -154,7 +156,7 @@ def _find_table_response(table: TextTable, shunt: float | None, suffix: str) -> 
     width = len(table.numbers)
     if suffix_titles and width == len(suffix_titles):
         titles = _replace_titles(suffix_titles, table.comments)
-        notes = (*table.notes, f"no titles of columns, taken as {', '.join(titles)}")
+        notes = (*table.notes, f"no column titles; {', '.join(titles)} are assumed")
         return combine_response(titles, table.numbers, shunt, notes)
     if table.titles is not None:
         return combine_response(table.titles, table.numbers, shunt, table.notes)
@@ -208,13 +210,13 @@ class ClassifiedColumns(EqualByContent):
 
     ``by_quantity`` contains the real columns, keyed by quantity. ``complex_columns`` contains the
     title, quantity and values of each column of complex numbers. ``unknown`` are titles without a
-    known meaning, and ``problems`` are error messages about titles.
+    known meaning, and ``problems`` are errors about titles.
     """
 
     by_quantity: dict[str, list[Column]]
     complex_columns: list[tuple[str, Quantity, np.ndarray]]
     unknown: list[str]
-    problems: list[str]
+    problems: list[ValueError]
 
 
 def combine_response(
@@ -258,9 +260,11 @@ def combine_response(
         samples, reference, remark = _convert_gain(samples, shunt)
         remarks.append(remark)
     elif reading.combination.quantity == "S":
-        remarks.append(f"no reference resistance of S, taken as {DEFAULT_REFERENCE:g} Ohm")
+        remarks.append(
+            f"no reference resistance for the S parameters; {DEFAULT_REFERENCE:g} Ohm is assumed"
+        )
     if "c" in reading.combination.columns:
-        remarks.append(f"{reading.columns[0].title.text}: neither Cp nor Cs, taken as Cp")
+        remarks.append(f"{reading.columns[0].title.text}: neither Cp nor Cs; Cp is assumed")
     texts = map(attrgetter("title.text"), used)
     summary = ", ".join(map(str, used)) + describe_unused(titles, texts)
     response = _make_response(f, reading.combination.quantity, samples, reference, remarks, summary)
@@ -268,7 +272,7 @@ def combine_response(
 
 
 def _require_one_sweep(f: np.ndarray) -> None:
-    """Reject a table of several sweeps, or whose frequencies are not sorted.
+    """Reject a table that contains several sweeps or unsorted frequencies.
 
     Sorted frequencies never decrease, or never increase. Rows with the frequency 0 are ignored.
 
@@ -304,7 +308,7 @@ def classify_columns(titles: Sequence[str], numbers: Sequence[np.ndarray]) -> Cl
             title = read_title(text)
             column = None if title is None else convert_column(title, values)
         except ValueError as error:
-            result.problems.append(str(error))
+            result.problems.append(error)
             continue
         if column is None:
             result.unknown.append(text.strip())
@@ -348,7 +352,7 @@ def _require_complete(
 def _make_incomplete_error(titles: Sequence[str], columns: ClassifiedColumns) -> Exception:
     """Make the error for columns that do not determine an impedance."""
     if columns.problems:
-        return ValueError(columns.problems[0])
+        return columns.problems[0]
     for text in columns.unknown:
         meaning = UNSTATED_QUANTITIES.get("".join(text.lower().split()))
         if meaning is not None:
@@ -498,9 +502,13 @@ def _convert_gain(gain: np.ndarray, shunt: float) -> tuple[np.ndarray, float, st
     measured gain.
     """
     inverse = bool(np.median(np.abs(gain)) > 1)
-    ratio = "source over shunt" if inverse else "shunt over source"
+    ratio = (
+        "source voltage divided by shunt voltage"
+        if inverse
+        else "shunt voltage divided by source voltage"
+    )
     gain = 1 / gain if inverse else gain
-    note = f"gain: voltage of {ratio}, through {shunt:g} Ohm in series with the part"
+    note = f"gain: {ratio}, with a shunt of {shunt:g} Ohm in series with the part"
     return 1 - 2 * gain, shunt, note
 
 
@@ -514,11 +522,16 @@ def _make_complex_response(
         raise make_ambiguity_error("two columns of complex numbers", readings, ONE_PART_HINT)
     remarks = [*notes, frequency.note] if frequency.note else list(notes)
     if quantity == "S":
-        remarks.append(f"no reference resistance of S, taken as {DEFAULT_REFERENCE:g} Ohm")
+        remarks.append(
+            f"no reference resistance for the S parameters; {DEFAULT_REFERENCE:g} Ohm is assumed"
+        )
     else:
         unit = DEFAULT_UNITS["impedance" if quantity == "Z" else "admittance"]
-        remarks.append(f"{text}: complex numbers, taken as {quantity} in the unit of its title")
-        remarks[-1] = remarks[-1] if "(" in text or "_" in text else f"{text}: taken as {unit}"
+        remarks.append(
+            f"{text}: complex numbers, read as {quantity} in the unit given in the column title"
+        )
+        if "(" not in text and "_" not in text:
+            remarks[-1] = f"{text}: the unit {unit} is assumed"
     summary = f"{frequency}, {quantity} from {text!r}"
     summary += describe_unused(titles, (text, frequency.title.text))
     return _make_response(frequency.values, quantity, samples, DEFAULT_REFERENCE, remarks, summary)

@@ -17,10 +17,11 @@ Harwell-Boeing file need not be separated by blanks. The header of a Harwell-Boe
 widths of its fields (Duff, Grimes, Lewis, Users' Guide for the Harwell-Boeing Sparse Matrix
 Collection, 1992).
 
-Nastran writes punch files with DMIG cards, and OUTPUT4 files, which are read by the package pyyeti.
-Matrix names in Nastran files begin with ``K`` (stiffness), ``K4`` (structural damping), ``M``
-(mass) or ``B`` (viscous damping). The key ``matrices`` in the TOML file may state other matrix
-names. DMIG cards may have large, small or free fields (MSC Nastran Quick Reference Guide).
+Nastran writes punch files with DMIG cards, and OUTPUT4 files. This module parses punch files; the
+package pyyeti reads OUTPUT4 files. Matrix names in Nastran files begin with ``K`` (stiffness),
+``K4`` (structural damping), ``M`` (mass) or ``B`` (viscous damping). The key ``matrices`` in the
+TOML file may state other matrix names. DMIG cards may have large, small or free fields (MSC Nastran
+Quick Reference Guide).
 
 Structural damping is the imaginary part H of a complex stiffness matrix ``K + j H``. Matrix files
 contain H as the imaginary part of a complex matrix, or as a separate matrix: ``K4...`` in Nastran
@@ -344,7 +345,8 @@ def read_mapping(data: bytes, size: int) -> raw_matrices.Dofs:
     rows = [words for words in lines if words and words[0].isdigit()]
     if len(rows) != size or set(map(len, rows)) != {3}:
         raise ValueError(
-            f"the file has {len(rows)} rows of equations, not {size}, or rows that are not complete"
+            f"the file has {len(rows)} rows of equations; it needs {size} rows, each with the "
+            "number of the equation, a node and a degree of freedom"
         )
     equations, nodes, freedoms = zip(*rows, strict=True)
     names = [_ANSYS_ROTATION_NAMES.get(name.upper(), name.lower()) for name in freedoms]

@@ -6,6 +6,7 @@ The TOML file is called *sidecar* in the code. :class:`Rows` contains the matric
 from __future__ import annotations
 
 import re
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from operator import attrgetter
@@ -32,7 +33,7 @@ from kc2spice.bodies.readers.sidecar import (
     PortEntry,
     Sidecar,
 )
-from kc2spice.core.domains import ACCELERATION, ELECTRICAL
+from kc2spice.core.domains import ACCELERATION, ELECTRICAL, ROTATION, TRANSLATION
 from kc2spice.core.errors import UsageError, wrong
 from kc2spice.rom.io import complete_triangle
 from kc2spice.rom.linear_model import (
@@ -41,10 +42,12 @@ from kc2spice.rom.linear_model import (
     make_piezoelectric_model,
     stores_one_triangle,
 )
-from kc2spice.rom.pencil import Matrix
+from kc2spice.rom.pencil import Matrix, find_largest_entry
 
 # largest rounding error of imaginary parts in rows of potentials, relative to the real parts
 IMAGINARY_ROUNDING = 1e-12
+# Largest difference of mirrored entries in a symmetric matrix, relative to the largest entry.
+SYMMETRY_ROUNDING = 1e-9
 
 
 def assemble_model(rows: LabelledMatrices) -> LinearModel:
@@ -162,7 +165,7 @@ def _complete_matrices(rows: LabelledMatrices) -> Mapping[str, Matrix]:
         for letter in halves:
             square[letter] = complete_triangle(square[letter])
     for letter, matrix in square.items():
-        if symmetric and abs(matrix - matrix.T).max() > 1e-9 * abs(matrix).max():
+        if symmetric and _measure_asymmetry(matrix) > SYMMETRY_ROUNDING:
             raise wrong(
                 rows.where,
                 f"matrix {letter} is not symmetric",
@@ -178,6 +181,33 @@ def _complete_matrices(rows: LabelledMatrices) -> Mapping[str, Matrix]:
                 hint=first if letter == "M" else f"export the matrix {letter} again",
             )
     return result | square
+
+
+def _measure_asymmetry(matrix: Matrix) -> float:
+    """Return the largest difference of mirrored entries, relative to the largest entry."""
+    return find_largest_entry(matrix - matrix.T) / (find_largest_entry(matrix) or 1.0)
+
+
+def _warn_of_asymmetry(rows: LabelledMatrices, matrices: Mapping[str, Matrix]) -> None:
+    """Warn if mass or stiffness matrix of a body with mechanical ports is not symmetric.
+
+    The function does not warn if the TOML file states that the matrices are not symmetric, or if
+    the model has other ports, such as acoustic ports. The matrices of a solid in a fluid are not
+    symmetric.
+    """
+    kinds = {TRANSLATION.port, ROTATION.port, ACCELERATION.port, ELECTRICAL.port}
+    stated = {entry.kind for entry in rows.sidecar.ports}
+    if rows.sidecar.symmetric is False or "M" not in matrices or not stated or stated - kinds:
+        return
+    for letter in "MK":
+        if (size := _measure_asymmetry(matrices[letter])) > SYMMETRY_ROUNDING:
+            warnings.warn(
+                f"{rows.where}: matrix {letter} is not symmetric: mirrored entries differ by up to "
+                f"{100 * size:.2g} % of the largest entry, so the body can create energy: export "
+                f"{letter} again, or write  symmetric = false  into {rows.name}.toml if {letter} "
+                "is correct",
+                stacklevel=2,
+            )
 
 
 def _select_square_matrices(matrices: Mapping[str, Matrix]) -> dict[str, Matrix]:
@@ -336,7 +366,7 @@ class LabelledMatrices:
         The port is a conservative port. The returned vector has one value for each matrix row.
         """
         if entry.column is not None or entry.row is not None:
-            return self._select_load(entry)
+            return self._select_port_vector(entry)
         where, load = self.sidecar.locate_entry(entry), np.zeros(self.size)
         if entry.kind == ACCELERATION.port:  # for an acceleration along r, the load is -M r
             if "M" not in self.matrices:
@@ -363,8 +393,8 @@ class LabelledMatrices:
             )
         return load
 
-    def _select_load(self, entry: PortEntry) -> np.ndarray:
-        """Return the column of B or the row of C whose number a port table states.
+    def _select_port_vector(self, entry: PortEntry) -> np.ndarray:
+        """Select the vector of a port: the stated column of matrix B or row of matrix C.
 
         For a conservative port, the row of C must be equal to the column of B with the same number.
         """
@@ -450,7 +480,7 @@ class LabelledMatrices:
 
 
 def _assemble_mechanical(rows: LabelledMatrices) -> LinearModel:
-    """Assemble a linear model without electrodes that consist of mesh nodes.
+    """Assemble a linear model in which no electrical port is defined by mesh nodes.
 
     The damping in the TOML file is added.
     """
@@ -478,6 +508,7 @@ def _assemble_mechanical(rows: LabelledMatrices) -> LinearModel:
             expected="for each row that is not fixed, a nonzero entry in at least one matrix",
             hint=hint,
         )
+    _warn_of_asymmetry(rows, operators)
     B, C, D, ports = rows.assemble_ports()
     by_column = not settings.ports or any(item.column for item in settings.ports)
     for letter in "BC" if by_column else "":
@@ -569,6 +600,8 @@ def _assemble_piezoelectric(rows: LabelledMatrices) -> LinearModel:
             )
         column[place], occupied[place] = 1.0, True
     u, p = np.flatnonzero(~occupied & ~potential), np.flatnonzero(~occupied & potential)
+    free = np.flatnonzero(~rows.mask_fixed_rows())
+    _warn_of_asymmetry(rows, {"M": _select_entries(M, free), "K": _select_entries(K, free)})
     KT = K @ T
     c = -(T.T @ KT)
     if M[:, potential].count_nonzero() or (np.diag(c) <= 0).any():
@@ -612,8 +645,9 @@ def _split_loss(
 ) -> tuple[Matrix, sparse.csc_array | None]:
     """Split the structural loss (imaginary part) off a complex stiffness matrix K.
 
-    The imaginary part is the structural damping of the displacements; the returned imaginary part
-    is None for a real K. ``potential`` is a mask of the rows of potentials.
+    Return the real part and the imaginary part of K; for a real K, return None instead of the
+    imaginary part. The imaginary part of K represents the structural damping of the displacements.
+    ``potential`` is a mask of the rows of potentials.
 
     Raises
     ------
@@ -634,8 +668,8 @@ def _split_loss(
     if abs(loss[potential]).max() > IMAGINARY_ROUNDING * abs(real[potential]).max():
         raise wrong(
             rows.where,
-            "the rows of the potentials contain damping, which is an imaginary part",
-            expected="an imaginary part only in the rows of the displacements",
+            "the matrix K has imaginary parts in the rows of the electric potentials",
+            expected="imaginary parts of K only in the rows of the displacements",
             hint="export only the real part of the permittivity, without dielectric losses",
         )
     loss.eliminate_zeros()

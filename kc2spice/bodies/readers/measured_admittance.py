@@ -100,7 +100,7 @@ class MeasuredAdmittance(EqualByContent):
         return f"{self.columns}; {span}" if self.columns else span
 
     @property
-    def measured_noise(self) -> float:
+    def estimated_noise(self) -> float:
         """Estimated noise of the samples: absolute for S, relative for Z and Y.
 
         Real and imaginary parts of the samples are assumed to have noise of equal standard
@@ -124,7 +124,7 @@ class MeasuredAdmittance(EqualByContent):
             R^(1/2) dY R^(1/2) = -2 (1 + S)^-1 dS (1 + S)^-1,
             (1 + S)^-1 = (1 + R^(1/2) Y R^(1/2)) / 2.
         """
-        noise, one = self.measured_noise, np.eye(self.Y.shape[1])
+        noise, one = self.estimated_noise, np.eye(self.Y.shape[1])
         if self.quantity == "Y" or self.samples is None:
             return noise * np.abs(self.Y)
         if self.quantity == "Z":
@@ -220,10 +220,10 @@ def read_measured(path: Path, shunt: float | None = None) -> MeasuredAdmittance:
     f, order = np.unique(f, return_index=True)  # increasing frequencies without repetitions
     order = order[f > 0]
     if not len(order):
-        hint = "export the file again, with the lines of numbers"
+        hint = "export the file again with rows of numbers"
         problem, expected = (
             "the file contains no measured values",
-            f"at least {MIN_FREQUENCIES} lines",
+            f"at least {MIN_FREQUENCIES} rows of numbers",
         )
         raise make_unusable_file_error(path, "no numbers", expected, hint, problem)
     if len(order) < MIN_FREQUENCIES:
@@ -337,8 +337,9 @@ def _reject_open_circuits(data: MeasuredAdmittance) -> None:
     if not still.any():
         return
     first, of = int(np.argmax(still)), f"{still.sum()} of {len(still)}"
-    got = f"no current at {of} frequencies, first at {data.f[first]:g} Hz"
-    got = got if one else f"no current into {of} ports, first into port {first + 1}"
+    got = f"zero current at {of} frequencies, first at {data.f[first]:g} Hz"
+    if not one:
+        got = f"zero current at all frequencies into {of} ports, for example into port {first + 1}"
     raise wrong(
         data.where,
         "the measured part is an open circuit",
@@ -423,7 +424,7 @@ def _read_matlab(variables: dict[str, np.ndarray], shunt: float | None) -> Measu
         resistance = next((variables[k] for k in variables if k.lower() in _RESISTANCE_NAMES), None)
         R = R if resistance is None else float(resistance.ravel()[0].real)
         notes += (
-            [f"{name}: no reference resistance, taken as {R:g} Ohm"] if resistance is None else []
+            [f"{name}: no reference resistance; {R:g} Ohm is assumed"] if resistance is None else []
         )
     z0 = np.full(P.shape[1], R)
     Y = convert_to_admittance(quantity, P, z0)

@@ -123,7 +123,7 @@ def _decode_lines(data: bytes) -> list[str]:
     return data.decode("utf-8", "replace").splitlines()
 
 
-def _split_cells(line: str) -> list[str]:
+def _split_at_commas(line: str) -> list[str]:
     """Split a line at its commas into words, and remove the blanks around each word."""
     return list(map(str.strip, line.split(",")))
 
@@ -149,7 +149,7 @@ class _NodeSets(dict[str, list[int]]):
         self.setdefault(name, []).extend(members)
 
 
-def _parse_keywords(data: bytes) -> Content:
+def _parse_abaqus_nodes(data: bytes) -> Content:
     """Parse the nodes and node sets in an input file of Abaqus or CalculiX."""
     nodes: Nodes = {}
     sets = _NodeSets()
@@ -158,7 +158,7 @@ def _parse_keywords(data: bytes) -> Content:
         if line.startswith("**") or not line.strip():
             continue
         if line.startswith("*"):
-            keyword, *words = _split_cells(line[1:].upper())
+            keyword, *words = _split_at_commas(line[1:].upper())
             options = {}
             for word in words:
                 key, _, value = word.partition("=")
@@ -170,7 +170,7 @@ def _parse_keywords(data: bytes) -> Content:
                     "differ from the node numbers in the .mtx file"
                 )
             continue
-        cells = _split_cells(line)
+        cells = _split_at_commas(line)
         filled, name = list(filter(None, cells)), options.get("NSET", "")
         if keyword == "INSTANCE" and any(map(float, filled)):
             raise ValueError("an *INSTANCE with a translation or rotation is not supported")
@@ -224,7 +224,7 @@ def _parse_blocks(data: bytes) -> Content:
                     break
                 nodes[int(row[:wide])] = _parse_point(row[a:b] for a, b in pairwise(ends))
         elif head.startswith("CMBLOCK"):
-            _, name, kind, count, *_ = _split_cells(head)
+            _, name, kind, count, *_ = _split_at_commas(head)
             next(lines)
             members: list[int] = []
             while len(members) < int(count.split("!")[0]):
@@ -250,5 +250,5 @@ def _parse_table(data: bytes) -> Content:
     return nodes, {}
 
 
-_READERS = {".inp": _parse_keywords, ".cdb": _parse_blocks, ".csv": _parse_table}
+_READERS = {".inp": _parse_abaqus_nodes, ".cdb": _parse_blocks, ".csv": _parse_table}
 _READERS |= dict.fromkeys((".bdf", ".dat", ".nas", ".pch", ".blk"), _parse_bulk_data)

@@ -3,20 +3,21 @@
 The functions of this module read ``.npz`` archives and MATLAB files. Archives are read without
 unpickling. Invalid sizes and indices are rejected before memory is allocated.
 
-An archive contains dense arrays with the names ``M``, ``E``, ``K``, ``A``, ``B``, ``C``, ``D``, or
-the parts of sparse matrices. The name of a part is the letter, a dot, and the name of the part in
-``scipy.sparse.save_npz`` (``K.format``, ``K.shape``, ``K.data``, ``K.indices``, ``K.indptr``; in
-the format coo, ``K.row`` and ``K.col``). The integer arrays ``nodes`` (n,) and ``dofs`` (n,) may
-contain the node and the degree of freedom of each row. A reader that runs in a separate process
-returns its arrays under the names that are used in an ``.npz`` archive. MATLAB files are read in a
-separate process, because scipy's reader may crash on a corrupt file.
+In an archive, each of the matrices M, E, K, A, B, C and D is a dense array or a sparse matrix. The
+dense array of matrix K, for example, has the name ``K``. The sparse matrix K consists of the arrays
+``K.format``, ``K.shape``, ``K.data``, ``K.indices`` and ``K.indptr``. In the sparse format coo, the
+arrays ``K.row`` and ``K.col`` replace ``K.indices`` and ``K.indptr``. After the prefix ``K.``, the
+array names are the names that ``scipy.sparse.save_npz`` writes. The integer arrays ``nodes`` (n,)
+and ``dofs`` (n,) may contain the node and the degree of freedom of each row. A reader that runs in
+a separate process returns its arrays under the names that are used in an ``.npz`` archive. MATLAB
+files are read in a separate process, because scipy's reader may crash on a corrupt file.
 
-A MATLAB file contains variables with the names of an archive's arrays, or one struct that COMSOL's
-``mphmatrix`` or ``mphstate`` returned. The equation of ``mphmatrix`` is ``E u'' + D u' + K u = L``:
-``E`` is the mass, ``D`` the damping, and ``L`` the input matrix ``B``. The matrices ``Ec``, ``Dc``,
-``Kc`` and ``Lc``, from which constraints are eliminated, are preferred. The state equation of
-``mphstate`` is ``Mc x' = MA x + MB u`` or ``x' = A x + B u``. The output equation of ``mphstate``
-is ``y = C x + D u``.
+A MATLAB file contains either variables with the same names as the arrays of an ``.npz`` archive, or
+one struct that COMSOL's ``mphmatrix`` or ``mphstate`` returned. The equation of ``mphmatrix`` is
+``E u'' + D u' + K u = L``: ``E`` is the mass, ``D`` the damping, and ``L`` the input matrix ``B``.
+The matrices ``Ec``, ``Dc``, ``Kc`` and ``Lc``, from which constraints are eliminated, are
+preferred. The state equation of ``mphstate`` is ``Mc x' = MA x + MB u`` or ``x' = A x + B u``. The
+output equation of ``mphstate`` is ``y = C x + D u``.
 """
 
 from __future__ import annotations
@@ -87,9 +88,9 @@ def make_unusable_file_error(
     got: object,
     expected: str,
     hint: str = REDO_HINT,
-    problem: str = "the content of this file is not suitable",
+    problem: str = "the content of this file cannot be used",
 ) -> UsageError:
-    """Make the error for a file with unsuitable content.
+    """Make the error for a file whose content cannot be used.
 
     ``got`` describes the content of the file, and ``expected`` the content that is accepted.
     """
@@ -312,7 +313,7 @@ class RawMatrices:
 
 
 def encode_entry_positions(table: np.ndarray) -> Triple:
-    """Encode the row and the column of each matrix entry as integers.
+    """Encode each entry's row and column, given by node and dof, as two integers.
 
     ``table`` contains a line (node, dof, node, dof, value) for each entry. A ``dof`` is the number
     of a degree of freedom. Return the encoded rows, the encoded columns and the entry values.
@@ -346,7 +347,8 @@ def complete_triangles(matrix: sparse.csc_array) -> sparse.csc_array:
     """Complete a symmetric matrix of which one entry of each mirrored pair is stored.
 
     Of each pair of mirrored entries, ``matrix`` contains either the entry above or the entry below
-    the diagonal. A matrix that contains both entries of any mirrored pair is returned unchanged.
+    the diagonal. A matrix is returned unchanged if it contains both entries of at least one
+    mirrored pair.
     """
     below = abs(sparse.tril(matrix, -1, format="csc")) > 0
     above = abs(sparse.triu(matrix, 1, format="csc")) > 0
@@ -591,7 +593,7 @@ def _convert_matlab_matrix(name: str, matrix: Any) -> Any:
     if sparse.issparse(matrix):
         return matrix.tocsc()
     matrix = drop_zero_imaginary(np.asarray(matrix))
-    if name in _ROW_LABELS:  # all numbers in MATLAB are doubles
+    if name in _ROW_LABELS:  # by default, MATLAB saves integers as doubles
         if not (matrix == np.floor(matrix)).all():
             raise ValueError(f"variable {name} contains fractions instead of whole numbers")
         return matrix.astype(np.int64)
@@ -629,7 +631,8 @@ def _select_fields(value: Any, name: str) -> dict[str, Any]:
     result = select_matrices(_SECOND_ORDER_FIELDS)
     if "Kc" not in fields and "N" in fields and _count_nonzeros(fields["N"]):
         raise ValueError(
-            f"struct {name} has constraints N that are not eliminated; export Kc and Ec"
+            f"the constraints in the matrix N of struct {name} are not eliminated; export the "
+            "eliminated matrices Kc and Ec"
         )
     if "Kc" in fields and "uscale" in fields and (np.asarray(fields["uscale"]) != 1).any():
         raise ValueError(

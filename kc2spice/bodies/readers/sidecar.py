@@ -141,7 +141,7 @@ def _resolve_beside_sidecar(value: Path, info: ValidationInfo) -> Path:
     """
     _require_printable(str(value))
     if value.is_absolute() or ".." in value.parts:
-        hint = "copy the file beside the TOML file and write its name alone"
+        hint = "copy the file into the folder of the TOML file, and write only the file name"
         raise make_invalid_value_error(
             "this file is not in the folder of the TOML file", "a relative path", hint=hint
         )
@@ -209,17 +209,21 @@ class NodeSelection(Section):
     within: Annotated[Finite, Field(ge=0)] | None = None
 
     @model_validator(mode="after")
-    def _require_one_selector(self) -> NodeSelection:
-        """Require at most one key that selects nodes; permit ``within`` only with ``at``."""
+    def _reject_second_selector(self) -> NodeSelection:
+        """Reject a second node selector, and the key ``within`` without the key ``at``."""
         selectors = [k for k in ("node", "nodes", "nodeset", "at") if getattr(self, k) is not None]
         if len(selectors) > 1:
             hint = f"delete {selectors[0]} or {selectors[1]}"
             raise make_invalid_value_error(
-                f"the nodes are defined twice: {', '.join(selectors)}", "one of them", hint=hint
+                f"the nodes are defined twice: {', '.join(selectors)}",
+                "one of these keys",
+                hint=hint,
             )
         if self.within is not None and self.at is None:
             raise make_invalid_value_error(
-                "within has no effect without at", "at and within", hint="add at = [x, y, z]"
+                "the key `within` has no effect without the key `at`",
+                "the keys `at` and `within`",
+                hint="add  at = [x, y, z]",
             )
         return self
 
@@ -245,7 +249,7 @@ class FixedNodes(NodeSelection):
         if not self.selects_nodes:
             expected = "one of node, nodes, nodeset and at"
             raise make_invalid_value_error(
-                "this entry names no nodes", expected, hint="add for example  node = 1"
+                "this table selects no nodes", expected, hint="add for example  node = 1"
             )
         return self
 
@@ -270,28 +274,30 @@ class PortEntry(NodeSelection):
     def _require_one_place(self) -> PortEntry:
         """Require that a port has either nodes, a column or a row, as its kind needs."""
         if self.scale != 1 and self.kind in PORTS:
-            problem = f"a port of kind {self.kind} has no scale"
+            problem = f"a port of kind {self.kind} does not accept the key `scale`"
             raise make_invalid_value_error(
-                problem, "scale of inputs and outputs only", hint="delete the key `scale`"
+                problem,
+                "the key `scale` only in ports of kind input or output",
+                hint="delete the key `scale`",
             )
         if self.row is not None and self.kind != "output":
-            problem = f"a port of kind {self.kind} has a column, not a row"
+            problem = f"a port of kind {self.kind} takes the key `column`, not `row`"
             raise make_invalid_value_error(
                 problem, "column", hint=f"write  column = {self.row}  instead of row"
             )
         if self.column is not None and self.kind == "output":
             hint = f"write  row = {self.column}  instead of column"
             raise make_invalid_value_error(
-                "a port of kind output has a row, not a column", "row", hint=hint
+                "a port of kind output takes the key `row`, not `column`", "row", hint=hint
             )
         directed = self.dof is not None or self.axis is not None
         if self.column is not None or self.row is not None:
             if self.selects_nodes or directed:
-                expected = "column or row alone, or nodes with dof or axis"
+                expected = "only the key `column` or `row`, or nodes with `dof` or `axis`"
                 raise make_invalid_value_error(
-                    "this port has both a column or row and nodes",
+                    "a port with `column` or `row` cannot have nodes, `dof` or `axis`",
                     expected,
-                    hint="delete one of them",
+                    hint="delete `column` and `row`, or delete the nodes, `dof` and `axis`",
                 )
         elif self.kind in COLUMN_KINDS_ONLY:
             problem = f"a port of kind {self.kind} can only have the key `column`"
@@ -307,7 +313,9 @@ class PortEntry(NodeSelection):
         elif not self.selects_nodes:
             expected = "one of node, nodes, nodeset, at, column and row"
             raise make_invalid_value_error(
-                "this port has no place", expected, hint="add for example  column = 1"
+                "this port has neither nodes nor a matrix column or row",
+                expected,
+                hint="add for example  column = 1",
             )
         elif self.kind in SCALAR_DOFS:
             if self.axis is not None or self.dof not in (None, DOF_NUMBERS[SCALAR_DOFS[self.kind]]):
@@ -468,7 +476,7 @@ class Sidecar(Section):
         return self._where
 
     def locate_entry(self, entry: NodeSelection) -> str:
-        """Return the file path and name of a table, with which error messages begin.
+        """Locate an entry for error messages by the file path and the name of its table.
 
         Error messages about the table ``entry`` begin with the returned string.
         """
@@ -494,11 +502,11 @@ class Sidecar(Section):
                 "outputs and damping_matrix are both C", expected, hint=hint
             )
         if bool(self.terms) != bool(self.parameters):
-            lacking = "parameters" if self.terms else "terms"
+            lacking, present = ("parameters", "terms") if self.terms else ("terms", "parameters")
             raise make_invalid_value_error(
                 f"{lacking} are missing",
                 "[parameters] and [[terms]]",
-                hint=f"add the table {lacking}, or delete the other one",
+                hint=f"add the table {lacking}, or delete the table {present}",
             )
         names = [port.name.lower() for port in self.ports]
         twice = [name for name, times in Counter(names).items() if times > 1]

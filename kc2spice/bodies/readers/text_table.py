@@ -68,7 +68,7 @@ class ShortTableError(ValueError):
     """
 
     advice = (
-        "export one line of numbers for each point, below titles such as  "
+        "export one row of numbers for each point, under a header line such as  "
         "frequency_hz,real_ohm,imag_ohm"
     )
 
@@ -241,12 +241,12 @@ def _find_numeric_line_ranges(lines: list[str], separator: str | None) -> Iterat
 def _join_rows_around_words(
     lines: list[str], separator: str | None, filled: list[int], kinds: list[tuple[int, bool]]
 ) -> None:
-    """Count a line of one repeated word, such as ``OVL,OVL``, as a row of the table.
+    """Join the table rows around each line of one repeated word, such as ``OVL,OVL``.
 
-    The line must be below a row with the same number of fields. Such lines must be above another
-    row, or at the end of the file. A last line with a single number is also counted as a row,
-    because the file may be truncated. The function changes the entries of ``kinds`` for all these
-    lines.
+    A line of one repeated word is counted as a row of the table. The line must be below a row with
+    the same number of fields. Such lines must be above another row, or at the end of the file. A
+    last line with a single number is also counted as a row, because the file may be truncated. The
+    function changes the entries of ``kinds`` for all these lines.
     """
     above, waiting = 0, list[int]()
     for k in filled:
@@ -266,11 +266,11 @@ def _join_rows_around_words(
 
 
 def _join_rows_around_incomplete_rows(filled: list[int], kinds: list[tuple[int, bool]]) -> None:
-    """Mark rows of unusual length as incomplete if a table contains only few of them.
+    """Join the table rows around incomplete rows, if only few rows are incomplete.
 
-    The length of a row is its number of fields. A row has an unusual length if its length differs
-    from the most common length in its table. The function changes the entries of ``kinds`` for the
-    incomplete rows.
+    The length of a row is its number of fields. A row is incomplete if its length differs from the
+    most common length in its table. Incomplete rows are counted as rows of the table. The function
+    changes the entries of ``kinds`` for the incomplete rows.
     """
     for is_row, group in groupby(filled, key=lambda k: kinds[k][0] > 0):
         if not is_row:
@@ -325,7 +325,7 @@ def _build_table(lines: list[str], run: _LineRange, end: int, separator: str | N
     if TRACE_SCALE.fullmatch(stated):
         stated = _find_trace_quantity(lines[: run.first]) or stated
     if titles and stated:
-        titles, numbers, more = _apply_format(titles, numbers, stated)
+        titles, numbers, more = _rename_trace_columns(titles, numbers, stated)
         notes += more
     header = above[-1].strip().lstrip(COMMENT_MARKS) if above else ""
     place = filled[0] + 1, filled[-1] + 1
@@ -471,7 +471,7 @@ def _find_last_match(pattern: re.Pattern[str], lines: list[str]) -> str:
     return ""
 
 
-def _apply_format(
+def _rename_trace_columns(
     titles: tuple[str, ...], numbers: list[np.ndarray], stated: str
 ) -> tuple[tuple[str, ...], list[np.ndarray], list[str]]:
     """Rename the trace columns of a table after the quantity in its ``FORMAT`` line.
@@ -519,7 +519,7 @@ def _append_block(before: TextTable, table: TextTable) -> TextTable:
     """Append the rows of a table without titles to the table that precedes it."""
     pairs = zip(before.numbers, table.numbers, strict=True)
     numbers = tuple(map(np.concatenate, pairs))
-    note = f"{table.line_range} have no titles: taken as further rows of the table above"
+    note = f"{table.line_range} have no titles; read as further rows of the table above"
     lines = before.lines[0], table.lines[1]
     notes = (*before.notes, *table.notes, note)
     return replace(before, numbers=numbers, lines=lines, notes=notes)

@@ -77,7 +77,7 @@ def read_transient(path: Path) -> ThermalTransient:
     Raises
     ------
     UsageError : the table has no column of a temperature or thermal impedance, two different such
-        columns, too few times, or numbers that are not finite.
+        columns, too few time points, or numbers that are not finite.
     """
 
     def read_response() -> ThermalTransient:
@@ -93,9 +93,10 @@ def read_transient(path: Path) -> ThermalTransient:
         )
     count = len(np.unique(result.time[result.time > 0]))
     if count < MIN_TIMES:
-        hint = "measure more points after the power step, which must be at the time zero"
-        got, expected = f"{count} times after zero", f"at least {MIN_TIMES} times after zero"
-        problem = "the file contains too few times"
+        hint = "measure more points after the power step, which must be at t = 0"
+        got = f"{count} time points after zero"
+        expected = f"at least {MIN_TIMES} time points after zero"
+        problem = "the file contains too few time points"
         raise make_unusable_file_error(path, got, expected, hint, problem)
     return result
 
@@ -122,7 +123,7 @@ def _find_transient(table: TextTable, path: Path) -> ThermalTransient:
         raise ValueError(
             f"the columns {names} contain neither a temperature nor a thermal impedance Zth"
         )
-    for label, found in (("times", times), ("columns of a thermal transient", values)):
+    for label, found in (("time columns", times), ("columns of a thermal transient", values)):
         if any(not np.array_equal(found[0].values, other.values) for other in found[1:]):
             raise make_ambiguity_error(
                 f"{len(found)} {label}", list(map(str, found)), ONE_PART_HINT

@@ -94,12 +94,14 @@ def parse_touchstone(text: str, ports: int) -> MeasuredResponse:
         unit = _select_option(option[:at], tuple(_FREQUENCY_UNITS), unit)
         kind = _select_option(option[:at], _PARAMETER_KINDS, kind)
         form = _select_option(option[:at], _NUMBER_FORMS, form)
-    notes = ["the first of several option lines counts"] if len(options) > 1 else []
+    notes = list[str]()
+    if len(options) > 1:
+        notes.append("of several option lines, only the first is used")
     stated = options[0] if options else []
     if not set(stated) & set(_FREQUENCY_UNITS):
-        notes.append("the option line has no unit of frequency, taken as GHz")
+        notes.append("the option line states no frequency unit; GHz is assumed")
     if not set(stated) & set(_NUMBER_FORMS):
-        notes.append("the option line has no format, taken as MA")
+        notes.append("the option line states no format; MA is assumed")
     words = keys.get("network data", words)
     reference = list(map(float, keys.get("reference", ()))) or reference
     n = int(keys.get("number of ports", [str(ports)])[0])
@@ -142,7 +144,8 @@ def parse_touchstone(text: str, ports: int) -> MeasuredResponse:
     # in Touchstone version 1, Y and Z of all ports are normalised to the first reference resistance
     if kind != "s" and "version" not in keys:
         P = P * z0[0] if kind == "z" else P / z0[0]
-    summary = f"{kind.upper()} of {n} ports in {form.upper()}, frequency in {_format_unit(unit)}"
+    summary = f"{n}-port {kind.upper()} parameters in {form.upper()} format, "
+    summary += f"frequency in {_format_unit(unit)}"
     summary += f", reference {' '.join(f'{R:g}' for R in reference)} Ohm" if kind == "s" else ""
     doubt = ""
     if form != "ri" and len(b) and np.abs(b).max() <= 1 and np.ptp(b):
