@@ -434,7 +434,7 @@ class Device(ABC):
         return None
 
     def find_initial_mode(self, e: np.ndarray) -> Any:
-        """Find the initial mode of a device: its switching state or its static relation."""
+        """Find the initial mode of a device, which selects the equations that it obeys."""
         return None
 
     def evaluate_guards(self, e: np.ndarray, mode: Any) -> np.ndarray:
@@ -616,9 +616,10 @@ class PortBody(Device):
         return self.responses[s]
 
     def find_initial_mode(self, e: np.ndarray) -> Relation:
-        """Find the initial mode of a device: its switching state or its static relation.
+        """Find the initial mode of a device, which selects the equations that it obeys.
 
-        A body does not switch. Its mode is the static relation between its loads and outputs.
+        A body has no switching state, so its initial mode is the static relation between its loads
+        and its outputs.
         """
         return self.static_relation
 

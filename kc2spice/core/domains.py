@@ -125,7 +125,10 @@ class Domain:
 
     @property
     def admittance(self) -> float:
-        """Netlist admittance [A/V] for 1 SI unit of flow per SI unit across the pins."""
+        """Netlist admittance [A/V] of an element with an SI stiffness or conductance of 1.
+
+        For example, the result is 1e-6 A/V for a spring of 1 N/m, because 1 V represents 1 µm.
+        """
         return (
             1.0 if self.through is None else self.across.factor * self.through.pin_value_per_si_unit
         )

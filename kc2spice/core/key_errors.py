@@ -564,7 +564,7 @@ def _get_help_command(schema: type[BaseModel]) -> str | None:
 
 
 def _find_inner_section(annotation: Any) -> type[BaseModel] | None:
-    """Find the first class of a TOML section at any depth of a type annotation."""
+    """Find in a nested type annotation the first class that declares a TOML section."""
     section = find_section(annotation)
     inner = map(_find_inner_section, get_args(annotation)) if section is None else ()
     return section or next(filter(None, inner), None)

@@ -43,7 +43,7 @@ class PiecewisePolynomial(EqualByContent):
         return value
 
     def integral(self) -> PiecewisePolynomial:
-        """Return the integral of the polynomials, continuous and zero at the first knot."""
+        """Return the integral of the polynomials from the first knot to each position."""
         power = np.arange(1, self.c.shape[0] + 1)[:, None, None]
         rising = self.c / power
         cells = np.sum(rising * np.diff(self.knots)[:, None] ** power, axis=0)

@@ -70,7 +70,9 @@ CHOICE_SYNONYMS = {
     "unsupported": "free",
 }
 
-# For a choice that a synonym may not mean: another choice, and the meaning of both choices.
+# Alternatives to choices with ambiguous synonyms: ``fixed``, for example, can mean ``clamped`` or
+# ``cantilever``. Each value of the dictionary contains the alternative choice, the meaning of the
+# key, and the meaning of the alternative choice.
 OTHER_MEANINGS = {"clamped": ("cantilever", "both ends", "one end")}
 
 # For each common quantity name: the scene key to use instead, and a hint for the user.

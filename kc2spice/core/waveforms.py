@@ -271,8 +271,8 @@ class Waveform:
         """Compute a time derivative of the waveform at several times.
 
         ``order`` is the order of the derivative, and ``t`` contains the times. ``within`` is one
-        time, or one time for each entry of ``t``. At a corner of the waveform, a time ``within``
-        before the corner selects the left derivative, and a later time the right derivative.
+        time, or one time for each entry of ``t``. At a corner of the waveform, the result is the
+        right derivative if ``within`` is later than the corner, and otherwise the left derivative.
         """
         if not self.is_piecewise_linear:
             return self._evaluate_sine(t, within, order)

@@ -41,7 +41,7 @@ MAX_QUOTE_LENGTH = 60  # largest number of characters that an error message quot
 MAX_GROUPS = 1000  # largest number of groups from one array of integer cell data
 # Largest permitted distance between a node and its position in an element with straight edges,
 # divided by the length of the longest edge.
-# The middle node of a semicircular edge has a relative distance of 0.5 from the straight edge.
+# The middle node of a semicircular edge lies half a chord length away from the chord.
 MAX_BULGE = 0.5
 _INCLUDE_LINE = {
     "abaqus": re.compile(

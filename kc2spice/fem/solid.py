@@ -189,7 +189,10 @@ class Solid:
 
     @cached_property
     def _dof_numbering(self) -> skfem.Dofs | None:
-        """Dof numbering by the field ``numbers``; None if scikit-fem numbers the nodes."""
+        """Numbering of the degrees of freedom from the node numbers of the elements.
+
+        The result is None if scikit-fem numbers the nodes.
+        """
         if self.numbers is None:
             return None
         result = skfem.Dofs(self.mesh, self.element)

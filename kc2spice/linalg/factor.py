@@ -108,8 +108,8 @@ QUASI_DEFINITE_UNKNOWNS = 20_000
 # Smallest number of unknowns for which nested dissection saves more time than it takes.
 DISSECTION_UNKNOWNS = 5000
 _LINE_ELEMENT = 1  # gmsh's number of the element type with two nodes
-# Number of stored elimination orders.
-# Two stored orders suffice, because a reduction uses one or two sparsity patterns.
+# Number of stored elimination orders of sparse matrices.
+# Two stored elimination orders suffice, because a reduction uses one or two sparsity patterns.
 _STORED_ORDERS = 2
 _orders: dict[bytes, np.ndarray | None] = {}
 

@@ -46,7 +46,7 @@ def translate_deck(deck: Deck, dialect: str) -> Deck:
 
 
 def write_dialect_files(deck: Deck, dialect: str) -> dict[str, str]:
-    """Write a deck's files in a dialect or in Verilog-A as texts, keyed by file name.
+    """Write a deck in a dialect or in Verilog-A; return all file texts, keyed by name.
 
     A part that cannot be a Verilog-A module, such as a pulse generator, is written only as a SPICE
     library. The file ``verilog-a.txt`` states why such parts cannot be Verilog-A modules. The
@@ -77,7 +77,7 @@ def write_dialect_files(deck: Deck, dialect: str) -> dict[str, str]:
 
 
 def write_symbol_files(deck: Deck, dialect: str = "ngspice") -> dict[str, str]:
-    """Write the symbol files and their libraries as texts, keyed by file name.
+    """Return the texts of symbol files and of their libraries, keyed by file name.
 
     The caller saves the texts to the disk. A symbol file contains the graphical symbol of a part
     for a schematic editor. An export for ngspice contains a KiCad project of the deck. An export

@@ -1,8 +1,8 @@
-"""Frequency response of a linear circuit, by nodal analysis of its syntax tree.
+"""Frequency response of a linear circuit, by nodal analysis of a parsed netlist.
 
-The equations follow only from the elements of the tree and from the parameters of an instance. The
-response is therefore independent of the model from which the circuit was generated (C.-W. Ho, A.
-Ruehli, P. Brennan, IEEE Trans. Circuits Syst. 22 (1975) 504).
+The equations follow only from the elements of the netlist and from the parameters of an instance.
+The response is therefore independent of the model from which the circuit was generated (C.-W. Ho,
+A. Ruehli, P. Brennan, IEEE Trans. Circuits Syst. 22 (1975) 504).
 """
 
 from __future__ import annotations

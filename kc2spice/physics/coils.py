@@ -154,7 +154,7 @@ def _declare_force(
 
 
 def _choose_declaration_options(height: str, names: tuple[str, ...]) -> dict[str, Any]:
-    """Return the declaration arguments that differ between equations and netlist.
+    """Choose declaration options for the integrator's equations or for the netlist.
 
     The declaration for the integrator's equations has the additional parameters ``raised``,
     ``y_min`` and ``y_max``. In the declaration for the integrator, the field ``limits`` keeps the

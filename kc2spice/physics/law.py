@@ -247,7 +247,7 @@ class DeclaredLaw(Device):
 
     @cached_property
     def _flow_function(self) -> _Compiled:
-        """Compiled function of flows, state rates and output signals, with derivatives."""
+        """Compiled function that returns the law's outputs and their derivatives."""
         return self._compile_expressions(self._flow_trees, slopes=True)
 
     @cached_property
@@ -282,12 +282,12 @@ class DeclaredLaw(Device):
 
     @cached_property
     def _guard_function(self) -> _Compiled:
-        """Compiled function of all guards: expressions whose zeros are kinks of the law."""
+        """Compiled function that returns all guards, whose zeros are kinks of the law."""
         return self._compile(self._kink_arguments)
 
     @cached_property
     def _limit_function(self) -> _Compiled:
-        """Compiled function of all limits: expressions that must be positive."""
+        """Compiled function that returns all limits: values that must be positive."""
         return self._compile_expressions(self.declaration.limit_trees.values())
 
     def _evaluate(self, compiled: _Compiled, e: np.ndarray, mode: Any) -> np.ndarray:

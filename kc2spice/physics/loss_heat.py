@@ -54,12 +54,12 @@ class LossHeatLaw(laws.Device):
         return (laws.Flow(HEAT, AMBIENT),)
 
     def evaluate(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Return heat flow [W] into ``heat``, with derivatives for the input values ``e``."""
+        """Evaluate the heat flow [W] into the pin ``heat``, and its partial derivatives."""
         slope = -2 * np.array([*self.weights, 0.0]) * e
         return np.array([slope @ e / 2]), slope[None]
 
     def loss(self, e: np.ndarray, mode: Any) -> float:
-        """Return the loss at the pin ``heat``: temperature times heat flow, in K W.
+        """Return the loss for Tellegen's theorem: temperature times heat flow, in K W.
 
         Tellegen's theorem counts temperature times heat flow as the power at a thermal pin.
         """

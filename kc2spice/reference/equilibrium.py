@@ -96,7 +96,7 @@ class Interval:
         return f
 
     def sum_term_sizes(self, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the sum of term magnitudes for each entry of ``f`` and of ``g``.
+        """Sum the term sizes of each right-hand side ``f`` and each stored quantity ``g``.
 
         Both arrays of sums have the shape (n, nt). The rounding errors of ``f`` and ``g`` are
         proportional to these sums.
@@ -306,7 +306,7 @@ def _fix_sources(system: System, values: dict[str, float]) -> System:
 
 
 def _compute_waveform_values(system: System, z: np.ndarray, modes: list[Any]) -> dict[str, float]:
-    """Compute the values of all waveforms in the equilibrium ``z``, keyed by name."""
+    """Compute the value of each output waveform in equilibrium ``z``, keyed by name."""
     interval, t = Interval(_fix_sources(system, {}), modes, 0.0), np.zeros(1)
     waves = interval.compute_waveforms(t, z[:, None], np.zeros((z.size, 1)))
     return {name: float(wave[0]) for name, wave in waves.items()}

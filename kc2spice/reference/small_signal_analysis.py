@@ -266,8 +266,9 @@ class LinearisedSystem:
 
         The amplitudes of the modes, ``a' = rates a + d0 u + d1 du/dt``, are ``-d0 u / rates - (d0 /
         rates^2 + d1 / rates) du/dt`` for a ramp. At the beginning of a steep ramp, the free
-        response almost cancels the response to the ramp. The small sum of both responses is
-        accurate, because both responses are sums over the same modes.
+        response almost cancels the response to the ramp. Although the free response and the ramp
+        response almost cancel, their sum is accurate, because both responses are sums over the same
+        modes.
         """
         n, k = self.system.size, len(self.system.sources)
         rows, cols = self.rows, self.system.differential

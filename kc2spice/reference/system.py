@@ -359,7 +359,7 @@ class _Assembly:
     def _compute_constraint_basis(
         self, where: slice, sizes: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Compute a basis that satisfies the constraints, and the motions due to sources.
+        """Compute a basis of constrained motions at zero sources, and a motion per source.
 
         The columns of the first returned matrix are a basis of all motions that satisfy the
         constraints if all sources are zero. The second returned matrix R gives the motion ``R s``
@@ -543,11 +543,10 @@ def _stack_rows(rows: Iterable[Any], width: int) -> np.ndarray:
 
 
 def _separate_columns(basis: np.ndarray, pattern: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rotate a basis to separate columns in the null space of the matrix ``pattern``.
+    """Rotate as many basis columns as possible into the null space of ``pattern``.
 
-    The matrix ``pattern`` is positive semidefinite. The rotation moves as many basis columns as
-    possible into the null space of ``pattern``. Return the rotated basis, and a mask of the basis
-    columns that are not in the null space of ``pattern``.
+    The matrix ``pattern`` is positive semidefinite. Return the rotated basis, and a mask of the
+    basis columns that are not in the null space of ``pattern``.
     """
     reduced = basis.T @ pattern @ basis
     reduced = 0.5 * (reduced + reduced.T)

@@ -35,7 +35,7 @@ from kc2spice.rom.transfer_function_error_scales import (
 MULTIPLES_ABOVE_BAND = np.array([2.0, 4.0])
 # The following settings of the search for the largest error were found by trials.
 # tests/physics/test_certificates.py compares the result of the search with errors on fine grids.
-# number of deepest minima of the response near which each round adds frequencies
+# Each round of the search adds frequencies near the REFINED_NOTCHES deepest response minima.
 REFINED_NOTCHES = 60
 ZOOM_FREQUENCIES = 9  # number of frequencies in a refined interval
 NOTCH_ROUNDS = 20  # largest number of rounds that add frequencies near notches
@@ -43,7 +43,8 @@ EQUAL_FREQUENCY = 1e-12  # relative difference below which frequencies count as 
 # A neighbouring sample that exceeds a sampled minimum by this factor indicates a deeper minimum.
 # An interpolated value below (sampled minimum / MIN_STEEPNESS) also indicates a deeper minimum.
 MIN_STEEPNESS = 1.5
-REFINED_PEAKS = 40  # number of largest errors near which each round adds frequencies
+# Each round of the search adds frequencies near the REFINED_PEAKS largest errors.
+REFINED_PEAKS = 40
 PEAK_ROUNDS = 3  # largest number of rounds that add frequencies near the largest errors
 # Each model is first tested at the frequencies at which earlier models were inaccurate.
 # Each model is tested at about FIRST_FREQUENCIES samples of the band before all other samples.

@@ -88,7 +88,7 @@ def fit_output_matrix(
 
 
 def fit_relaxations(basis: ReducedBasis, order: int, tolerance: float) -> tuple[ReducedBasis, int]:
-    """Fit relaxations, modes with real poles, to lower the order of a reduced model.
+    """Fit rates and gains of a model with real poles, so that a lower order suffices.
 
     Relaxing models, such as networks of R and C, are always passive. Return a basis with the fitted
     rates and gains, and its order, which is as low as possible. If no fit succeeds, the arguments

@@ -23,7 +23,7 @@ from kc2spice.rom.range_reduction import ModelOverRanges
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class HeatOverRanges(ModelOverRanges):
-    """Heat model over ranges of parameters: ``E(p) x' + K(p) x = B q``, ``T = B'x``.
+    """Heat model over parameter ranges: ``E(p) dx/dt + K(p) x = B q``, ``T = B^T x``.
 
     ``terms`` are the terms of the reduced matrices E and K. The model has characteristic values,
     such as a thermal resistance, that depend on the parameters. A polynomial of the parameters

@@ -89,7 +89,7 @@ def read_parametric_model(path: Path | str) -> ModelOverRanges:
 def _build_resonators(
     arrays: dict[str, np.ndarray], record: dict[str, Any], name: str
 ) -> ResonatorsOverRanges:
-    """Build resonators over parameter ranges from the arrays and record of a file.
+    """Build the resonators of a parametric model from a file's arrays and metadata.
 
     The arrays and the JSON record are checked.
     """

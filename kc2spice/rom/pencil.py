@@ -151,7 +151,7 @@ class SchurComplement:
         return self._replace_blocks(alpha * M + beta * self.uu, beta * self.up, self.pu)
 
     def _replace_blocks(self, uu: Matrix, up: Matrix, pu: Matrix) -> SchurComplement:
-        """Replace all blocks of the matrix except the block of eliminated unknowns.
+        """Replace the blocks ``uu``, ``up`` and ``pu`` in a copy of the Schur complement.
 
         Return a new Schur complement of ``uu``, ``up``, ``pu`` and the old block ``pp`` of the
         eliminated unknowns.

@@ -91,7 +91,8 @@ def reduce_model(
       stiffness matrix is reduced by block Arnoldi at s0 = 0 (Schütz, Maeter and Bechtold,
       Actuators 10 (2021) 279, section 2.3).
     * Models whose ports are signals are also reduced to first-order models by balanced truncation.
-      The first-order model is used if it has fewer states and the full model is not proven passive.
+      The first-order model is the result only if it has fewer states than the second-order model,
+      and if the full model is not proven passive.
     * Structural damping is replaced by viscous damping of each mode, or by relaxations where
       relaxations are much more accurate. The error estimate includes the error of the replacement.
       The function warns if the error of the replacement exceeds the tolerance.
@@ -284,9 +285,10 @@ def find_basis_of_order(
 ) -> tuple[ReducedBasis, int]:
     """Return the basis with the smallest error at ``target.order``, and this order.
 
-    ``bases`` contains prescribed reductors, or None by default, with bases that are already
-    computed. The keys are the ``id`` of the reductors, because two reductors may have the same
-    name. The function adds new bases to ``bases``.
+    ``bases`` contains the bases that earlier calls computed. Each value of ``bases`` contains a
+    reductor and its bases; the reductor is None if no reduction method is prescribed. The keys are
+    the ``id`` of the reductors, because two reductors may have the same name. The function adds new
+    bases to ``bases``.
     """
     assert target.order is not None
     bases = {} if bases is None else bases

@@ -91,12 +91,12 @@ class ReductionTask:
 
     @property
     def response(self) -> Response:
-        """Frequency response of the model between full and reduced model."""
+        """Frequency response of the intermediate model."""
         return self.intermediate.response
 
     @property
     def pencil_without_rigid_modes(self) -> Pencil:
-        """Pencil without rigid-body modes of the model between full and reduced model.
+        """Pencil of the intermediate model after removal of the rigid-body modes.
 
         If damping couples rigid-body modes to other motions, the matrices include the rigid-body
         modes.
@@ -110,7 +110,7 @@ class ReductionTask:
 
     @property
     def state_count(self) -> int:
-        """Number of first-order states of the model between full and reduced model."""
+        """Number of first-order states of the intermediate model."""
         return self.response.pencil.size * self.response.pencil.degree
 
     def get_shared_value(self, name: str, compute: Callable[[], T]) -> T:
@@ -147,7 +147,7 @@ class ReductionTask:
 
     @property
     def proof(self) -> StabilityProof:
-        """Proof of stability and passivity of the model between full and reduced model."""
+        """Proof of stability and passivity of the intermediate model."""
         return self.get_shared_value(
             "proof", lambda: prove_stability(self.response.pencil, self.band)
         )
@@ -227,7 +227,7 @@ class ReductionTask:
 
     @cached_property
     def state_to_unknowns(self) -> np.ndarray | None:
-        """Matrix from states to unknowns of the model between full and reduced model.
+        """Matrix that computes the unknowns of the intermediate model from its states.
 
         The states belong to the first-order equations of the intermediate model. In the first-order
         equations, time is multiplied by the angular frequency at the end of the band. The matrix is
@@ -365,7 +365,8 @@ class ReducedBasis:
     def requires_stability(self) -> bool:
         """Whether the reduction basis requires every reduced model to be stable.
 
-        A congruence does not require stability if the model of all basis vectors is unstable.
+        Reduced models need not be stable if the projection is a congruence, and the reduced model
+        of the largest order is unstable.
         """
         return not self.congruence or self.prove_order_stability(self.size).stable is not False
 

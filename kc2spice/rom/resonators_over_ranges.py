@@ -80,7 +80,8 @@ CHECK_POINTS = 16  # number of random points in the ranges for error estimates o
 SUBSPACE_SHARE = 0.3
 # A rigid-body mode's gain at a port counts as zero up to this fraction of the port's largest gain.
 RIGID_ROUNDING = 1e-6
-# assumed ratio of squared frequencies: first mode that the dense model omits, to its highest mode
+# The first mode that the dense model omits is assumed at sqrt(LAST_GAP) times the frequency of the
+# highest mode in the dense model.
 LAST_GAP = 8.0
 # The number n of retained modes maximises log(w_omitted^2 / w_retained^2) - n MIN_GAP_GAIN.
 # w_omitted is the frequency of the first omitted mode, and w_retained of the last retained mode.
@@ -256,7 +257,8 @@ def _compute_largest_difference(
 
     Each item of ``checks`` contains parameter values, an error estimator, and an error. The
     estimator compares a model with the intermediate model that replaces the full model at the
-    parameter values. The error is the error of the intermediate model.
+    parameter values. The error in each item of ``checks`` is the estimated relative difference
+    between the intermediate model and the full model.
     """
     return max(
         estimator.estimate_model_error(Response(model.evaluate(values).pencil)) + error

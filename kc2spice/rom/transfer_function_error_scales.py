@@ -38,8 +38,8 @@ class EntryScales:
 
     ``peak`` is the largest magnitude of each entry. Entries in the mask ``zero`` contain only
     rounding errors. For entries in the mask ``zero``, ``peak`` is the row's scale in ``rows`` times
-    the column's scale in ``columns``. The product of the row's scale and the column's scale is a
-    typical magnitude of the nonzero entries in the same row and column.
+    the column's scale in ``columns``. The product ``rows[i] * columns[j]`` is a typical magnitude
+    of an entry (i, j) that is not zero.
     """
 
     peak: np.ndarray

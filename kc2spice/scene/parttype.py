@@ -79,7 +79,7 @@ def compute_pin_forces(build: BuiltScene, waves: Waveforms) -> Mapping[tuple[str
     """
 
     def compute_all_forces() -> tuple[BuiltScene, Waveforms, dict[tuple[str, str], np.ndarray]]:
-        """Compute all forces [N]; return the built scene, its waveforms and the forces."""
+        """Compute all forces [N] of parts at pins; return ``build``, ``waves`` and forces."""
         result = {}
         for name, part in build.scene.parts.items():
             for pin, force in part.type.forces(part, build, waves).items():
@@ -109,7 +109,7 @@ _own_names: set[str] = set()  # names of the part types that users registered
 
 
 def register_part(part_type: PartType) -> PartType:
-    """Register a part type under its name, so that scenes can use it.
+    """Register a custom part type under its name, so that scenes can have such parts.
 
     A new part type replaces an earlier part type of the same name, except a built-in part type.
 

@@ -228,7 +228,7 @@ def _group_nets(scene: Scene, pairs_of_parts: Iterable[tuple[str, Pairs]]) -> li
 
 def _describe_group(group: frozenset[str], scene: Scene) -> FloatingNets:
     """Return the record of a group of nets, with its parts and its domain."""
-    # domain of the first pin of each part that is on a net of the group, keyed by part name
+    # keyed by part name: domain of the first pin that the part has on the nets of the group
     domains: dict[str, Domain] = {}
     for key, terminal in scene.terminals.items():
         if terminal.domain is not None and terminal.needs_path and scene.nets[key] in group:

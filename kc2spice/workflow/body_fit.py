@@ -311,7 +311,7 @@ class BodyFit:
     def _compute_effects_of_materials(
         self, model: LinearModel, values: Mapping[str, float], Y: np.ndarray
     ) -> dict[str, np.ndarray]:
-        """Return how other material constants change the logarithm of the admittance.
+        """Compute the effects of material constants on the logarithm of the admittance.
 
         The constants are the stiffness of all materials, and their piezoelectric constants. The
         arguments are defined in :meth:`compute_effects_of_causes`.
@@ -376,7 +376,7 @@ class BodyFit:
         axes = [axis for name, axis in parameter_axes.items() if name not in constant]
 
         def store_model_count(number: int, count: int) -> None:
-            """Store the model count of a reduction before the reduction's first model."""
+            """At the start of a reduction, store the numbers of computed and planned models."""
             if number == 1:
                 self.plan[:] = self.counted[0], count
 

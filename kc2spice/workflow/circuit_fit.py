@@ -210,7 +210,7 @@ class CircuitFit:
         the conditions of the measurement, such as an added mass.
         """
         self.counted[0] += 1
-        # each step computes one response for each curve, and one more for each varied key
+        # for each fitted curve, a fit step computes 1 + (number of varied keys) responses
         most = MAX_EVALUATIONS * len(self.fitted_curves) * (1 + len(self.keys))
         done = (self.counted[0] - 1) / most
         text = f"response {self.counted[0]} of at most {most}"

@@ -53,7 +53,9 @@ MEMORY_SHARE = 0.5
 # The factorised matrix for 145 000 unknowns took 0.2 GB.
 PLANE_FACTOR_BYTES = 100.0
 MAX_RUNS = 16  # largest number of runs in addition to the run of the scene
-LONG_REFINEMENT = 30.0  # s, expected time of all refined runs that is printed before the first one
+# If all refined runs together will probably take longer than LONG_REFINEMENT [s], the expected time
+# is printed before the first refined run.
+LONG_REFINEMENT = 30.0
 DEFAULT_ERROR_LIMIT = 1e-2  # error budget if checks.reduction is set without error_budget
 # Assumption: each refinement step removes at least half of the error of a setting.
 # Even on bodies with sharp corners, each refinement step of the mesh halves the error.
@@ -415,7 +417,7 @@ def converge_to_budget(start: Run, clock: StageTimer) -> ConvergedRun | None:
 
 
 def _describe_limits(runs: RefinedRuns) -> Iterator[str]:
-    """Yield the limits of a refinement: of meshes, and of runs if they take long."""
+    """Yield texts about the largest refined meshes and about long computing times."""
     if any(map(attrgetter("mesh"), runs.refinable)):
         most, memory = runs.mesh_limits
         yield f"meshes are refined up to {_format_size(most, memory)} of memory"

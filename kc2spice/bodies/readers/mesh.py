@@ -100,7 +100,7 @@ def read_nodes(path: Path) -> NodeMesh:
         )
 
     def parse_nodes(data: bytes) -> NodeMesh:
-        """Parse the content of the mesh file, and check that all coordinates are finite."""
+        """Parse nodes and node sets of a mesh file; require finite node coordinates."""
         nodes, sets = read(data)
         if not nodes:
             raise ValueError("the file contains no node")

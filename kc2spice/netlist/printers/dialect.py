@@ -346,7 +346,7 @@ class Dialect(Printer, ABC):
         return ":".join(path)
 
     def format_device(self, trace: Trace) -> str:
-        """Return the name in this dialect of a device whose current is saved."""
+        """Format the name of a device in this dialect, to save the current of the device."""
         return ":".join([*trace.path, *trace.names])
 
     def format_numbers(self, text: str) -> str:

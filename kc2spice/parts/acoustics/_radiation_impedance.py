@@ -45,7 +45,7 @@ class Radiator:
 
     @property
     def error_text(self) -> str:
-        """Text with the network's errors, and the largest ``k a`` at which they apply."""
+        """Text that lists the network's approximation errors and their range of ``k a``."""
         if math.isinf(self.network.largest_ka):
             return "exact at all frequencies"
         return (

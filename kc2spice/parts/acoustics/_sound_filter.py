@@ -28,7 +28,7 @@ def compute_low_pass_delay(corner: float) -> float:
 def delay_wave(
     time: np.ndarray, wave: np.ndarray, delays: Iterable[tuple[float, float]]
 ) -> np.ndarray:
-    """Delay a waveform by several times; return the weighted sum of the copies.
+    """Delay copies of a waveform by different times, and return their weighted sum.
 
     ``delays`` contains pairs of a weight and a delay [s]. ``wave`` has the shape (points,) and is
     interpolated between its points. ``wave`` is zero before its first point, and constant after its

@@ -240,8 +240,8 @@ class StatedValues:
     def _has_implied_value(self, key: str) -> bool:
         """Return whether the stated values other than ``key`` imply a value of ``key``.
 
-        The implied value must be realistic. The circuit that the other values determine must have
-        all of these values within their tolerances.
+        The implied value must be realistic. The circuit that is fitted to all stated values except
+        ``key`` must reproduce each fitted value within its tolerance.
         """
         others = self._drop_value(key)
         logarithms = others._fitted_logarithms

@@ -75,7 +75,7 @@ class Throw(_contact_surfaces.TouchablePart[ThrowKeys]):
     def governed_parts(
         self, part: Part[ThrowKeys], scene: DeclaredScene
     ) -> Mapping[str, InitialState]:
-        """Return the governed part: the sphere, with its velocity and gap at t = 0."""
+        """Return the sphere, whose velocity and gap at t = 0 this experiment prescribes."""
         return {find_sphere(part, scene).name: InitialState(part.keys.velocity, part.keys.gap)}
 
     def numerics(self, part: Part[ThrowKeys], scene: WiredScene) -> Iterator[NumericalRequirements]:

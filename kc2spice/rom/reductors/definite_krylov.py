@@ -90,7 +90,7 @@ def reduce_definite_model(
         response = Response(small)
         response.zero = find_zero_entries(pencil, basis, response, band)
         # Some samples are beside resonances, because notches are often close to resonances.
-        # With more Krylov blocks, the relative error becomes small at notches last.
+        # As Krylov blocks are added, the relative error at notches is the last to become small.
         frequency = sample_band(response, band, GRID_FREQUENCIES, not small.free, (0.0, 1.0, 4.0))
         s = 2j * np.pi * frequency
         H = response.transfer(s)

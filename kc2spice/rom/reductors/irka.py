@@ -74,7 +74,7 @@ class Irka(Reductor):
         )
 
     def basis(self, task: ReductionTask) -> ReducedBasis | None:
-        """Return the basis with all H2-optimal models, or None if the model is unstable.
+        """Return H2-optimal models of all orders, or None if the full model is unstable.
 
         The returned ``OptimalModels`` object contains one locally H2-optimal reduced model for each
         order. Each reduced model is computed when the response of this model is first requested.

@@ -24,7 +24,8 @@ MAX_TRIALS = 12  # largest number of updates of the weights
 # A basis of n vectors may be replaced by fewer vectors from the span of N vectors.
 # For a basis of n vectors, the number N is max(3 n, n + MIN_EXTRA_VECTORS).
 MIN_EXTRA_VECTORS = 20
-# largest error of the span from which a shorter basis may be chosen, relative to the tolerance
+# No shorter basis is computed if the model with N basis vectors has an error above
+# EXTRA_ERROR_SHARE times the tolerance.
 EXTRA_ERROR_SHARE = 0.5
 # An update multiplies the weight of each frequency by sqrt(error / largest error + MIN_WEIGHT).
 MIN_WEIGHT = 0.05

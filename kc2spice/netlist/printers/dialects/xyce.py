@@ -183,7 +183,7 @@ def _list_nodes_with_initial_state(deck: Deck) -> Iterator[str]:
 
 
 def _tighten_reltol(word: str) -> str:
-    """Return an option word, with a tighter value for Xyce if it sets ``reltol``."""
+    """Tighten the option ``reltol`` for Xyce; return all other options unchanged."""
     name, _, value = word.partition("=")
     if name.lower() != "reltol":
         return word
