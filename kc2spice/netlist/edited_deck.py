@@ -1,15 +1,16 @@
 """Decks that a user has edited, and their differences from the deck of a scene.
 
-The input is the deck of a scene and the edited file. The output is a list of the parameters, cards
-and options that differ between the edited file and the deck of the scene. The module
-:mod:`kc2spice.workflow.parts_from_edited_deck` applies these differences to the parts of the scene.
+The inputs are the deck that kc2spice writes for a scene, and the user's edited copy of this deck.
+The output is a list of the parameters, cards and options that differ between the deck and its
+edited copy. The module :mod:`kc2spice.workflow.parts_from_edited_deck` applies these differences to
+the parts of the scene.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Iterator, Mapping
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from operator import attrgetter
 from pathlib import Path
@@ -30,6 +31,11 @@ from kc2spice.netlist.include_scan import (
 )
 from kc2spice.netlist.name_scopes import Scope, has_vector
 from kc2spice.netlist.printers.ngspice import Printer
+
+# Smallest share of elements that an edited deck and the deck of the scene have in common, relative
+# to the smaller of the two. An edited deck with a smaller share counts as a deck of another scene.
+# The limit is low, because users may replace most elements of a deck.
+MIN_COMMON_SHARE = 0.25
 
 
 class ParameterEdit(NamedTuple):
@@ -72,13 +78,15 @@ class DeckEdits:
         The edited deck with the results of the scene.
     analysis : str or None
         The analysis card of the edited deck if it differs from the analysis of the scene.
+    missing_state : str or None
+        The missing word or card without which a run ignores the initial state of the scene.
     options : mapping of str to tuple of two texts or None
-        Old and new value of each accuracy option that differs. The default value of an option is
-        None.
+        Old and new value of each accuracy option that differs. If a deck does not set an option,
+        the option has the value None, which stands for the default value of the simulator.
     cards : mapping of str to str
-        Description of each part whose cards differ, of each new card, and of each instance with
-        other nodes. Each description is keyed by the name of its part, card or instance. For a part
-        whose cards differ, the scene keys no longer describe the deck.
+        Description of each part whose cards differ, of each new card, and of each instance whose
+        nodes differ from the deck of the scene. Each description is keyed by the name of its part,
+        card or instance. For a part whose cards differ, the scene keys no longer describe the deck.
     instances : mapping of str to InstanceEdit
         Differences of each instance that exists in both decks, keyed by instance name in lower
         case.
@@ -86,6 +94,7 @@ class DeckEdits:
 
     deck: Deck
     analysis: str | None
+    missing_state: str | None
     options: Mapping[str, tuple[str | None, str | None]]
     cards: Mapping[str, str]
     instances: Mapping[str, InstanceEdit]
@@ -114,8 +123,11 @@ def read_edited_deck(original: Deck, path: Path) -> DeckEdits:
     result = read_checked_circuit(path, trust=original.trusted)
     cards = list(result.cards(title=True))
     reject_side_effects(cards, part=False)
-    analysis = _require_analysis(original, cards, path)
-    _require_saved_vectors(original, cards, path)
+    _require_top_level_elements(original, cards, path)
+    _require_common_elements(original, cards, path)
+    with _reject_title_of_other_scene(original, result.text, path):
+        analysis = _require_analysis(original, cards, path)
+        _require_saved_vectors(original, cards, path)
     deck = replace(
         original,
         text=result.text,
@@ -128,13 +140,71 @@ def read_edited_deck(original: Deck, path: Path) -> DeckEdits:
         max_step=_read_max_step(original, analysis),
         command=AnalysisCommand(original.command.kind, tuple(analysis.words[1:])),
     )
-    _require_results(original.scope, deck, path, original.name)
+    with _reject_title_of_other_scene(original, result.text, path):
+        _require_results(original.scope, deck, path, original.name)
     return DeckEdits(
         deck,
         None if _has_equal_words(original.command.card, analysis) else analysis.written,
+        _find_missing_state(original, cards, analysis),
         _compare_options(original, cards),
         _compare_cards(original.scope, deck.scope),
         _compare_instances(original.scope, deck.scope),
+    )
+
+
+def _list_top_level_elements(cards: Iterable[Statement]) -> Iterator[str]:
+    """Yield the name of each element outside of subcircuits, in lower case."""
+    depth = 0
+    for card in cards:
+        depth += (card.keyword == ".subckt") - (card.keyword == ".ends")
+        if depth == 0 and not card.keyword.startswith("."):
+            yield card.keyword
+
+
+def _require_common_elements(original: Deck, cards: Iterable[Statement], path: Path) -> None:
+    """Reject a deck that has few elements in common with the scene.
+
+    A deck with few elements of a scene was written for another scene.
+
+    Raises
+    ------
+    UsageError : the deck contains nearly no element of the scene.
+    """
+    before, now = original.scope.elements_by_key.keys(), set(_list_top_level_elements(cards))
+    common = len(before & now)
+    if not now or common >= MIN_COMMON_SHARE * min(len(before), len(now)):
+        return
+    got = f"a deck with {common} of the {len(before)} elements of {original.name}"
+    raise _make_other_scene_error(original, path, got)
+
+
+@contextmanager
+def _reject_title_of_other_scene(original: Deck, text: str, path: Path) -> Iterator[None]:
+    """Reject a deck whose title names another scene, if the deck has an error.
+
+    Raises
+    ------
+    UsageError : the code in the ``with`` block raises a ``UsageError``. If the title of the deck
+        names another scene, the message states that the deck belongs to another scene.
+    """
+    try:
+        yield
+    except UsageError:
+        title = text.partition("\n")[0].removeprefix("* ")
+        name, colon, _ = title.partition(": ")
+        if not colon or name == original.name:
+            raise
+        raise _make_other_scene_error(original, path, f"a deck of {title[:100]}") from None
+
+
+def _make_other_scene_error(original: Deck, path: Path, got: str) -> UsageError:
+    """Return the error about a deck of another scene."""
+    return UsageError(
+        "this deck is not a deck of this scene",
+        where=str(path),
+        got=got,
+        expected=f"the deck that  kc2spice export {original.name}  writes, with changes",
+        hint=f"edit a copy of the deck that  kc2spice export {original.name}  writes",
     )
 
 
@@ -147,8 +217,6 @@ def _require_analysis(original: Deck, cards: Collection[Statement], path: Path) 
         ``original``.
     """
     analyses = [card for card in cards if card.keyword in ANALYSES]
-    if not analyses and any(card.keyword == ".subckt" for card in cards):
-        _require_top_level_elements(original, cards, path)
     if list(map(attrgetter("keyword"), analyses)) != [f".{original.command.kind}"]:
         raise UsageError(
             "the analysis of this deck differs from that of the scene"
@@ -164,18 +232,17 @@ def _require_analysis(original: Deck, cards: Collection[Statement], path: Path) 
     return analyses[0]
 
 
-def _require_top_level_elements(original: Deck, cards: Iterable[Statement], path: Path) -> None:
+def _require_top_level_elements(original: Deck, cards: Collection[Statement], path: Path) -> None:
     """Reject a library: a file in which all elements are inside of subcircuits.
 
     Raises
     ------
     UsageError : the file has no element outside of its subcircuits.
     """
-    depth = 0
-    for card in cards:
-        depth += (card.keyword == ".subckt") - (card.keyword == ".ends")
-        if depth == 0 and not card.keyword.startswith("."):
-            return
+    is_deck = any(card.keyword in ANALYSES for card in cards)
+    has_subcircuits = any(card.keyword == ".subckt" for card in cards)
+    if is_deck or not has_subcircuits or any(_list_top_level_elements(cards)):
+        return
     deck = path.with_name(original.main_file_name)
     raise UsageError(
         "this file is a library of subcircuits, not a deck",
@@ -190,15 +257,26 @@ def _require_top_level_elements(original: Deck, cards: Iterable[Statement], path
 
 def _has_equal_words(card: str, analysis: Statement) -> bool:
     """Return whether two analysis cards have the same words and equal numbers."""
+    return list(map(_parse_word, card.split())) == list(map(_parse_word, analysis.words))
 
-    def parse_word(word: str) -> float | str:
-        """Return a word as a number, or otherwise in lower case."""
-        number = None
-        with suppress(UsageError):
-            number = parse_literal(word)
-        return word.lower() if number is None else number
 
-    return list(map(parse_word, card.split())) == list(map(parse_word, analysis.words))
+def _parse_word(word: str) -> float | str:
+    """Return a word of a card as a number, or otherwise in lower case."""
+    number = None
+    with suppress(UsageError):
+        number = parse_literal(word)
+    return word.lower() if number is None else number
+
+
+def _find_missing_state(
+    original: Deck, cards: Iterable[Statement], analysis: Statement
+) -> str | None:
+    """Return what an edited deck lacks of the initial state of the original deck, or None."""
+    if "uic" in original.command.words and "uic" not in map(str.lower, analysis.words):
+        return f"the word uic at the end of the card {analysis.written}"
+    if original.initial_voltages and not any(card.keyword == ".ic" for card in cards):
+        return "the card .ic of the exported deck"
+    return None
 
 
 def _require_saved_vectors(original: Deck, cards: Iterable[Statement], path: Path) -> None:
@@ -225,13 +303,8 @@ def _require_saved_vectors(original: Deck, cards: Iterable[Statement], path: Pat
             )
         return
     if parse_vector("all") not in saved and len(missing) == len(original.saved_vectors):
-        raise UsageError(
-            "this deck is not a deck of this scene",
-            where=str(path),
-            got=f"a deck that saves none of the vectors of {original.name}",
-            expected=f".save with {join_first(missing)}",
-            hint=f"edit a copy of the deck that  kc2spice export {original.name}  writes",
-        )
+        got = f"a deck that saves none of the vectors of {original.name}"
+        raise _make_other_scene_error(original, path, got)
     if parse_vector("all") not in saved and missing:
         raise UsageError(
             "the scene's metrics need vectors that this deck does not save",
@@ -288,14 +361,8 @@ def _require_results(before: Scope, edited: Deck, path: Path, scene_name: str) -
     hint = f"edit a copy of the deck that  kc2spice export {scene_name}  writes"
     needed = sum(has_vector(before, vector) for vector in edited.saved_vectors)
     if len(missing) > max(MAX_CANDIDATES, needed / 2):
-        raise UsageError(
-            "this deck is not a deck of this scene",
-            where=str(path),
-            got=f"a deck without {len(missing)} of the results of {scene_name}, such as "
-            f"{missing[0]}",
-            expected=f"the deck that  kc2spice export {scene_name}  writes, with changes",
-            hint=hint,
-        )
+        got = f"a deck without {len(missing)} of the results of {scene_name}, such as {missing[0]}"
+        raise _make_other_scene_error(edited, path, got)
     sources = {f"i({e.key})": e for e in before.elements if e.kind == "v"}
     missing_sources = list(filter(None, map(sources.get, map(str.lower, missing))))
     if missing_sources:
@@ -317,7 +384,9 @@ def _require_results(before: Scope, edited: Deck, path: Path, scene_name: str) -
 
 
 def _require_instances(before: Scope, now: Scope, path: Path) -> None:
-    """Reject a deck that lacks the instance of a part, unless the deck has new cards.
+    """Require the instance of each part in a deck, unless the deck has new cards.
+
+    New cards, which the original deck does not contain, may replace a missing instance.
 
     Raises
     ------
@@ -439,7 +508,8 @@ def _list_cards(scope: Scope, above: frozenset[str] = frozenset()) -> Any:
         called = scope.find_subcircuit(item.model) if item.kind == "x" else None
         if called is not None and called.name.lower() not in above:
             within = _list_cards(called, above | {called.name.lower()})
-            inside.append((item.model.lower(), sorted(called.defaults.items()), within))
+            defaults = {name: _parse_word(text) for name, text in called.defaults.items()}
+            inside.append((item.model.lower(), defaults, within))
     printer = Printer()
     plain = list(map(printer.card, scope.commands))
     models = {name: printer.card(item) for name, item in scope.models.maps[0].items()}

@@ -25,6 +25,12 @@ def with_edited_parameters(build: BuiltScene, edits: DeckEdits, path: Path) -> B
     part. One warning lists the unchecked parts. Further warnings list accuracy options that differ
     from the scene, and overrides of keys whose values the deck determines.
     """
+    if edits.missing_state is not None:
+        warnings.warn(
+            f"{path}: this run ignores initial positions, velocities or voltages of the scene, "
+            f"because the deck lacks {edits.missing_state}: add the missing text to the deck",
+            stacklevel=2,
+        )
     _warn_about_options(edits, path)
     _warn_about_overrides(build, edits, path)
     parts = dict(build.scene.parts)
@@ -34,11 +40,15 @@ def with_edited_parameters(build: BuiltScene, edits: DeckEdits, path: Path) -> B
         if instance is None or name in reasons:
             continue
         if instance.has_other_cards:
-            reasons[name] = f"its subcircuit {instance.subcircuit} has other cards"
+            reasons[name] = (
+                f"cards of its subcircuit {instance.subcircuit} differ from the exported deck"
+            )
         for key, old, new in instance.parameters:
             other = replace_key_value(parts[name], key, old, new)
             if other is None:
-                reasons[name] = f"none of its keys is the parameter {key} of {instance.subcircuit}"
+                reasons[name] = (
+                    f"none of its keys sets the parameter {key} of {instance.subcircuit}"
+                )
             parts[name] = other or part
     if reasons:
         lines = "; ".join(map(": ".join, reasons.items()))
@@ -65,20 +75,22 @@ def _warn_about_overrides(build: BuiltScene, edits: DeckEdits, path: Path) -> No
     """Warn about overrides of keys for which the edited deck has other values."""
     source = build.scene.source
     for key, origin in source.overrides.items() if source is not None else ():
-        values = list(dict.fromkeys(_list_deck_values(build, edits, key)))
+        values = list(dict.fromkeys(_list_conflicting_deck_values(build, edits, key)))
         if values:
             warnings.warn(
-                f"{path}: the values of the deck apply, and they differ from {origin}: "
-                f"{join_first(values, '; ')}; leave out this override, or edit a new export with "
-                "this override",
+                f"{path}: the run uses the values of the deck, which differ from {origin}: "
+                f"{join_first(values, '; ')}; leave out {origin}, or export a new deck with "
+                f"{origin} and edit the new deck",
                 stacklevel=2,
             )
 
 
-def _list_deck_values(build: BuiltScene, edits: DeckEdits, key: tuple[str, ...]) -> Iterator[str]:
-    """Yield the values of an edited deck that differ from the override of a key.
+def _list_conflicting_deck_values(
+    build: BuiltScene, edits: DeckEdits, key: tuple[str, ...]
+) -> Iterator[str]:
+    """List values of an edited deck that conflict with the override of a key.
 
-    ``key`` is the path of the key in the scene.
+    ``key`` is the path of the overridden key in the scene.
     """
     scene = build.scene
     if key[0] in ("analysis", "solver") and edits.analysis is not None:
@@ -94,8 +106,9 @@ def _list_deck_values(build: BuiltScene, edits: DeckEdits, key: tuple[str, ...])
             if instance is None:
                 continue
             if instance.has_other_cards:
-                yield f"the subcircuit {instance.subcircuit} has other cards"
-            # an edited parameter with the name of another key does not depend on this key
+                yield f"cards of the subcircuit {instance.subcircuit} differ from the exported deck"
+            # If an edited parameter has the name of another key of the part, the overridden key
+            # does not determine the parameter.
             others = {field.lower() for field in type(part.keys).model_fields} - {key[-1].lower()}
             for edited, _, new in instance.parameters:
                 if edited.lower() not in others:

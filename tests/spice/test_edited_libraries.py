@@ -81,9 +81,9 @@ def test_the_balance_detects_undeclared_energy(scene, old, new, tmp_path):
 
 
 def test_a_library_with_other_cards_is_not_checked_and_states_the_reason(tmp_path):
-    old = "voltage without that of the flux = resistance*i"
+    old = "voltage minus the time derivative of the flux = resistance*i"
     deck = edited("loudspeaker", tmp_path, "I={1e-6*V(a,b)/", "I={1.1e-6*V(a,b)/")
-    with pytest.warns(UserWarning, match="coil: its subcircuit voice_coil has other cards"):
+    with pytest.warns(UserWarning, match="coil: cards of its subcircuit voice_coil differ"):
         record = run_scene(kc.load_scene("loudspeaker"), tmp_path / "out", deck=deck)
     assert energy(record, "coil") is None
     assert json.loads((tmp_path / "out" / "result.json").read_text())["checks"]
@@ -92,3 +92,44 @@ def test_a_library_with_other_cards_is_not_checked_and_states_the_reason(tmp_pat
         warnings.simplefilter("error")
         record = run_scene(kc.load_scene("loudspeaker"), tmp_path / "out2", deck=again)
     assert energy(record, "coil")["value"] < 1e-4
+
+
+@pytest.mark.parametrize(
+    "scene", ["kick_and_catch", "coil_rails", "pwm_coil", "three_cycles", "charge_kick"]
+)
+def test_an_unedited_export_has_no_edits(scene, tmp_path):
+    """Libraries print 1e7 as 10meg; a changed value in an inner subcircuit is still an edit."""
+    loaded = kc.load_scene(scene)
+    export_scene(loaded, tmp_path)
+    deck, library = tmp_path / f"{scene}.cir", tmp_path / "pid.lib"
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        prepare_deck(loaded, StageTimer(), edited=deck)
+    library.write_text(library.read_text().replace("ref a0=10meg", "ref a0=9meg"))
+    with pytest.warns(UserWarning, match="control: cards of its subcircuit pid differ"):
+        prepare_deck(loaded, StageTimer(), edited=deck)
+
+
+@pytest.mark.parametrize(
+    ("scene", "metric", "card", "advised"),
+    [
+        ("impact", "min_position_m", ".tran", "uic at the end"),
+        ("duffing", "largest_force_n", ".ic", ".ic"),
+    ],
+)
+def test_a_deck_without_its_initial_state_causes_a_warning(scene, metric, card, advised, tmp_path):
+    """The advised text restores the motion."""
+    loaded = kc.load_scene(scene)
+    export_scene(loaded, tmp_path / "ex")
+    deck = tmp_path / "ex" / f"{scene}.cir"
+    text = deck.read_text()
+    line = next(line for line in text.splitlines(keepends=True) if line.startswith(card))
+    deck.write_text(text.replace(line, line.replace(" uic", "") if card == ".tran" else ""))
+    with pytest.warns(UserWarning, match=f"ignores initial .* because the deck lacks .*{advised}"):
+        still = run_scene(loaded, tmp_path / "still", deck=deck)
+    assert still["metrics"][metric] == pytest.approx(0.0, abs=1e-12)
+    deck.write_text(text)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        moving = run_scene(loaded, tmp_path / "moving", deck=deck)
+    assert abs(moving["metrics"][metric]) > 1e-6
