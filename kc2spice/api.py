@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from kc2spice.core import __version__
-from kc2spice.core.argument_and_option_names import use_arguments_in_errors
+from kc2spice.core.argument_and_option_names import check_arguments, use_arguments_in_errors
 from kc2spice.core.errors import NamedValues, UsageError, unknown
 from kc2spice.core.figure import Figure
 from kc2spice.core.files import stage_directory
@@ -54,6 +54,7 @@ AnyScene = Scene | str | Path | Mapping[str, Any]
 Function = Callable[[float, Mapping[str, float]], float]
 
 
+@check_arguments
 def build(scene: AnyScene) -> dict[str, LinearModel]:
     """Build the unreduced finite-element model of every body of a scene.
 
@@ -101,6 +102,7 @@ def build(scene: AnyScene) -> dict[str, LinearModel]:
     return models
 
 
+@check_arguments
 def deck(scene: AnyScene, *, trust: bool = False) -> Deck:
     """Return the netlist of a scene and the subcircuit libraries of its parts.
 
@@ -142,6 +144,7 @@ def deck(scene: AnyScene, *, trust: bool = False) -> Deck:
     return prepare_deck(load_scene(scene), StageTimer(), trust=trust)[1]
 
 
+@check_arguments
 def run(
     scene: AnyScene,
     out: str | Path | None = None,
@@ -234,6 +237,7 @@ def run(
     return result
 
 
+@check_arguments
 def simulate(deck: Deck, *, timeout: float | None = None) -> Result:
     """Simulate a deck in ngspice and return its waveforms or frequency responses.
 
@@ -294,6 +298,7 @@ def simulate(deck: Deck, *, timeout: float | None = None) -> Result:
     return _make_result(deck, waves, record)
 
 
+@check_arguments
 def export(
     scene: AnyScene, out: str | Path, *, dialect: str = "ngspice", trust: bool = False
 ) -> list[Path]:
@@ -340,6 +345,7 @@ def export(
         return export_scene(load_scene(scene), _require_path(out), dialect, trust=trust)
 
 
+@check_arguments
 def verify(
     scene: AnyScene, out: str | Path | None = None, *, full: bool = False, trust: bool = False
 ) -> dict[str, Any]:
@@ -818,6 +824,7 @@ def _require_lists(values: Mapping[str, Sequence[Any]]) -> None:
         )
 
 
+@check_arguments
 def sweep(
     scene: AnyScene,
     values: Mapping[str, Sequence[Any]],

@@ -136,7 +136,7 @@ def recover_vibration(
     dynamic = K + 1j * omega * model.E - omega**2 * model.M
     x = np.linalg.solve(dynamic, (u @ model.B.T)[..., None])[..., 0]
     motion = NodalMotion(device, f, u, basis, x)
-    energy, drive = _compute_energies(motion)
+    energy, drive = _compute_energies_and_squared_voltages(motion)
     padded = np.pad(energy, 1, constant_values=-np.inf)
     peaks = np.flatnonzero((energy >= padded[:-2]) & (energy >= padded[2:]))
     peaks = peaks[np.argsort(-energy[peaks])][:MAX_PEAKS]
@@ -457,13 +457,13 @@ def _choose_instants(motion: NodalMotion, count: int) -> np.ndarray:
     Half of the ``count`` samples are equally spaced in time. The other half are the samples with
     the highest elastic and electric energy.
     """
-    t, (energy, _) = motion.scale, _compute_energies(motion)
+    t, (energy, _) = motion.scale, _compute_energies_and_squared_voltages(motion)
     even = np.linspace(t[0], t[-1], count - count // 2)
     return np.union1d(np.searchsorted(t, even), np.argsort(energy)[-(count // 2) :])
 
 
-def _compute_energies(motion: NodalMotion) -> tuple[np.ndarray, np.ndarray]:
-    """Compute energies and squared voltages of a body at each time or frequency.
+def _compute_energies_and_squared_voltages(motion: NodalMotion) -> tuple[np.ndarray, np.ndarray]:
+    """Compute a body's energies and squared port voltages at each time or frequency.
 
     Return the normalised energy, and the sum of the squared voltages. The normalised energy adds
     two terms, each divided by its largest value: the elastic energy, and the sum of the squared

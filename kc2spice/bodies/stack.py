@@ -114,7 +114,7 @@ def make_stack_setup(
     level = np.arange(mesh.nelements) * len(spans) // mesh.nelements
     with name_part_in_errors("kick"):
         solid = Solid(mesh, materials, owner[level], order=kick.mesh.order, numbers=numbers)
-    electrodes, graded = _find_electrodes(spans, heights[::steps], solid)
+    electrodes, graded = _find_electrode_nodes_and_potentials(spans, heights[::steps], solid)
     return solid, BoundaryConditions(
         _mask_fixed_displacements(kick, solid),
         electrodes,
@@ -130,7 +130,7 @@ def make_stack_setup(
 
 
 def _divide_height(kick: StackKeys, steps: int) -> tuple[np.ndarray, np.ndarray]:
-    """Divide the height of a stack into levels of finite elements, and node planes.
+    """Divide the height of a stack into levels of finite elements.
 
     Return the number of active layers in each level, and the heights [m] of all node planes.
     """
@@ -276,10 +276,10 @@ def _mask_fixed_displacements(kick: StackKeys, solid: Solid) -> np.ndarray:
     return fixed.ravel()
 
 
-def _find_electrodes(
+def _find_electrode_nodes_and_potentials(
     spans: np.ndarray, faces: np.ndarray, solid: Solid
 ) -> tuple[dict[str, np.ndarray], Profile | None]:
-    """Find the electrode nodes, and the potentials of nodes between the electrodes.
+    """Find the electrode nodes, and the potentials of the nodes between electrodes.
 
     ``spans`` contains the number of ceramic layers in each level; the number is 0 in a cap.
     ``faces`` [m] contains the heights of the lower and upper faces of the levels. A level of

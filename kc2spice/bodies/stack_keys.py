@@ -60,7 +60,8 @@ class StackMeshKeys(Section):
         ge=1,
         le=100,
         description=(
-            "Number of contact rings of mesh nodes around the centre node of the top face"
+            "Number of rings of mesh nodes around the centre of the top face at which a contact "
+            "can act"
         ),
     )
     ring_spacing: Length = Field(

@@ -20,6 +20,11 @@ from kc2spice.cli.terminal_output import report_errors
 from kc2spice.core.errors import UsageError, did_you_mean, list_candidates, unknown
 
 PROGRAM = "kc2spice"
+# Order of the commands in the help: everyday commands, studies, models, installation.
+COMMAND_ORDER = (
+    "scenes", "parts", "explain", "run", "verify", "sweep", "bench", "export", "reduce", "fit",
+    "doctor",
+)  # fmt: skip
 _MAX_WORDS_OF_NAME = 12  # largest number of words of a file name with blanks
 _SEARCH_ARGUMENT = "SEARCH"  # name of an argument that may consist of several words
 # base class of parser errors, which is a class of click in older versions of typer
@@ -27,10 +32,13 @@ _ParserError: Any = typer.BadParameter.__base__
 
 
 class CheckedCommand(TyperCommand):
-    """Command that reports errors in four lines and prints its usage without braces."""
+    """Command with checked arguments: a wrong argument is a :class:`UsageError`.
+
+    The usage line of the command has no braces.
+    """
 
     def make_context(self, info_name: Any, args: Any, parent: Any = None, **extra: Any) -> Any:
-        """Make the context of a command from its arguments; report mistakes in four lines."""
+        """Make a command's context; report a wrong argument as a :class:`UsageError`."""
         typed = list(args)
         # Extra arguments are rejected below, in an error that contains the typed text.
         extra.setdefault("allow_extra_args", True)
@@ -49,7 +57,7 @@ class CheckedCommand(TyperCommand):
 
 
 class CheckedCommands(TyperGroup):
-    """Group of all commands, with a four-line error for an unknown name or option."""
+    """Group of checked commands: an unknown name or option is a :class:`UsageError`."""
 
     def make_context(self, info_name: Any, args: Any, parent: Any = None, **extra: Any) -> Any:
         """Make the context of the program from the options before the name of the command."""
@@ -61,8 +69,12 @@ class CheckedCommands(TyperGroup):
             with report_errors():
                 raise _make_unknown_option_error(self, error.option_name, PROGRAM) from None
 
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Return the names of all commands, in the order of :data:`COMMAND_ORDER`."""
+        return sorted(super().list_commands(ctx), key=COMMAND_ORDER.index)
+
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Return the command with the typed name; report an unknown name in four lines."""
+        """Return the command with the typed name, or report a :class:`UsageError`."""
         name = str(args[0])
         if self.get_command(ctx, name) is None and not ctx.resilient_parsing:
             with report_errors():
@@ -97,14 +109,14 @@ def _make_unknown_command_error(name: str, commands: list[str]) -> UsageError:
 
 
 def _make_parser_error(command: Any, error: Any, typed: list[str]) -> UsageError:
-    """Convert an error of the command-line parser to an error of four lines."""
+    """Make a :class:`UsageError` from an error of the command-line parser."""
     param = getattr(error, "param", None)
     name = getattr(error, "option_name", None)
     if name is not None:
         param = next((item for item in command.params if name in item.opts), None)
         if param is None:
             return _make_unknown_option_error(command, name, f"{PROGRAM} {command.name}")
-        return _make_missing_value_error(param, name, typed)
+        return _make_option_value_error(param, name, typed)
     if param is None:
         return UsageError(
             error.format_message(),
@@ -162,7 +174,6 @@ _OPTION_SYNONYMS = {
     "--range": ("--band",),
     "--frequency": ("--band",),
     "--silent": ("--quiet",),
-    "--force": ("--trust",),
 }
 
 
@@ -185,9 +196,9 @@ def _make_unknown_option_error(command: Any, name: str, line: str) -> UsageError
     )
 
 
-def _make_missing_value_error(param: Any, name: str, typed: list[str]) -> UsageError:
+def _make_option_value_error(param: Any, name: str, typed: list[str]) -> UsageError:
     """Make the error for an option without a value, or for a flag with a value."""
-    words = _find_option_words(param, typed)
+    words = _find_option_value(param, typed)
     if getattr(param, "is_flag", False):
         got = next((word for word in typed if word.startswith(f"{name}=")), name)
         return UsageError(
@@ -205,7 +216,7 @@ def _make_missing_value_error(param: Any, name: str, typed: list[str]) -> UsageE
     got = " ".join([name, *words])
     count = param.nargs
     problem = "the value is missing" if count == 1 else f"this option needs {count} values"
-    hint = f"write {param.metavar} behind {name}, or leave out {name}"
+    hint = f"write {param.metavar} after {name}, or leave out {name}"
     parts = re.split(r"[-,:…]+|\.\.+", words[0]) if len(words) == 1 and count > 1 else []
     if len(parts) == count and all(parts):
         hint = f"write {name} {' '.join(_convert_to_hertz(parts) or parts)}"
@@ -280,8 +291,8 @@ def _find_example(command: Any) -> str:
     return next((line for line in lines if line.startswith(PROGRAM)), f"{PROGRAM} --help")
 
 
-def _find_option_words(param: Any, typed: list[str]) -> list[str]:
-    """Return the value of an option as typed; for a repeated option, the last value."""
+def _find_option_value(param: Any, typed: list[str]) -> list[str]:
+    """Find the typed value of an option; for a repeated option, the last value."""
     words: list[str] = []
     for k, word in enumerate(typed):
         if word in param.opts:
@@ -296,7 +307,7 @@ def _make_invalid_number_error(param: Any, typed: list[str], is_integer: bool) -
 
     ``is_integer`` is true if the option needs a whole number.
     """
-    name, words = param.opts[0], _find_option_words(param, typed)
+    name, words = param.opts[0], _find_option_value(param, typed)
     wrong_word = next((word for word in words if not _is_number(word)), None)
     low, high = _find_option_limits(param)
     limits = f"{low:g} to {high:g}" if high is not None else f"at least {low or 0:g}"

@@ -7,11 +7,17 @@ functions of this module replace the names of one interface by the names of the 
 
 from __future__ import annotations
 
+import inspect
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import wraps
+from typing import Any, ParamSpec, TypeVar
 
-from kc2spice.core.errors import UsageError
+from kc2spice.core.errors import ArgumentError, UsageError, did_you_mean, list_candidates
+
+P = ParamSpec("P")
+R = TypeVar("R")
 
 _PAIR_OPTION = "band"  # option with two values
 _LIST_OPTION = "vary"  # option that may be repeated; the Python argument is a list
@@ -116,3 +122,89 @@ def use_options_in_errors(names: Iterable[str]) -> Iterator[None]:
     except UsageError as error:
         replace_arguments_by_options(error, names)
         raise
+
+
+def check_arguments(function: Callable[P, R]) -> Callable[P, R]:
+    """Make a function raise errors with advice about missing or unknown arguments.
+
+    >>> @check_arguments
+    ... def run(scene, out=None):
+    ...     return scene
+    >>> run("impact", ouut="folder")
+    Traceback (most recent call last):
+        ...
+    kc2spice.core.errors.ArgumentError: run: this argument does not exist
+      got:      ouut
+      expected: one of scene, out
+      next:     did you mean 'out'?
+    """
+    signature = inspect.signature(function)
+
+    @wraps(function)
+    def call(*values: P.args, **named_values: P.kwargs) -> R:
+        try:
+            signature.bind(*values, **named_values)
+        except TypeError:
+            raise _make_argument_error(function.__name__, signature, values, named_values) from None
+        return function(*values, **named_values)
+
+    return call
+
+
+def _make_argument_error(
+    function: str,
+    signature: inspect.Signature,
+    values: tuple[Any, ...],
+    named_values: Mapping[str, Any],
+) -> ArgumentError:
+    """Return the error about a call whose arguments do not fit the signature."""
+    parameters = signature.parameters
+    positional = [p.name for p in parameters.values() if p.kind is not p.KEYWORD_ONLY]
+    required = [p.name for p in parameters.values() if p.default is p.empty]
+    present = {*positional[: len(values)], *named_values}
+    lacking = [name for name in required if name not in present]
+    unknown_names = [name for name in named_values if name not in parameters]
+    if unknown_names:
+        name = unknown_names[0]
+        hint = did_you_mean(name, parameters) or f"leave out {name}"
+        if "overrides" in parameters and hint.startswith("leave out"):
+            value = repr(named_values[name])[:80]
+            hint = f'to set a key of a part, write overrides={{"PART.{name}": {value}}}'
+        return ArgumentError(
+            "this argument does not exist",
+            where=function,
+            got=name,
+            expected=f"one of {list_candidates(name, parameters)}",
+            hint=hint,
+        )
+    if len(values) > len(positional):
+        further = [name for name in parameters if name not in positional]
+        return ArgumentError(
+            "too many arguments without a name",
+            where=function,
+            got=f"{len(values)} arguments without a name",
+            expected=f"at most {len(positional)}: {', '.join(positional)}",
+            hint=f"write NAME=VALUE for {list_candidates('', further)}"
+            if further
+            else f"leave out all arguments after {positional[-1]}",
+        )
+    if lacking:
+        names = ", ".join(lacking)
+        return ArgumentError(
+            f"the argument{'s' if len(lacking) > 1 else ''} {names} "
+            f"{'are' if len(lacking) > 1 else 'is'} missing",
+            where=function,
+            got=f"only {', '.join(name for name in parameters if name in present)}"
+            if present
+            else "no arguments",
+            expected=f"the argument{'s' if len(required) > 1 else ''} {', '.join(required)}",
+            hint=f"write  {function}({', '.join(required)})",
+        )
+    twice = next(name for name in positional[: len(values)] if name in named_values)
+    return ArgumentError(
+        "this argument is given twice",
+        where=function,
+        got=f"{twice} without its name, and {twice}=",
+        expected=f"{function}({', '.join(required)})",
+        hint=f"delete {twice}=",
+    )

@@ -12,6 +12,11 @@ MAX_COMPARED_LENGTH = 200
 MAX_CANDIDATES = 5  # largest number of candidates that an error lists
 # smallest number of letters and digits of a word that is searched for inside other names
 MIN_FRAGMENT_LENGTH = 4
+# smallest number of letters of a known name that is searched for among the words of a longer name
+MIN_WORD_LENGTH = 3
+# Similarity above which a typed word is a known name with a typing error. One wrong letter changes
+# the similarity of a name of at least seven letters to at least this value.
+TYPING_ERROR_RATIO = 0.85
 
 
 class Kc2spiceError(Exception):
@@ -55,6 +60,10 @@ class UsageError(Kc2spiceError):
 
 class UnknownNameError(UsageError, KeyError):
     """Error for a name that is not in a mapping of results; also a ``KeyError``."""
+
+
+class ArgumentError(UsageError, TypeError):
+    """Error for a Python call with wrong arguments; also a ``TypeError``."""
 
 
 class NamedValues(dict[str, Any]):
@@ -235,7 +244,11 @@ def did_you_mean(word: str, choices: Iterable[str]) -> str | None:
     if same_owner and len(same_owner) < len(choices):  # names of the same part are suggested first
         suggestion = did_you_mean(word, same_owner)
         last = word.rpartition(".")[2].lower()
-        prefixes = [item for item in same_owner if last.startswith(item.rpartition(".")[2].lower())]
+        prefixes = [  # a longer or shorter form of a name, such as v of voltage
+            item
+            for item in same_owner
+            if last and _share_beginning(last, item.rpartition(".")[2].lower())
+        ]
         if suggestion or prefixes:
             return suggestion or f"did you mean {prefixes[0]!r}?"
     leaves: dict[str, str] = {}
@@ -243,7 +256,12 @@ def did_you_mean(word: str, choices: Iterable[str]) -> str | None:
         leaves.setdefault(choice.rpartition(".")[2], choice)
     lower = {leaf.lower(): leaf for leaf in leaves}
     last = word.rpartition(".")[2].lower()
-    similar = [lower[leaf] for leaf in difflib.get_close_matches(last, lower, n=1, cutoff=0.7)]
+    close = difflib.get_close_matches(last, lower, n=1, cutoff=0.7)
+    similar = [lower[leaf] for leaf in close]
+    longer = [leaf for leaf in leaves if _is_longer_name(last, leaf.lower())]
+    if longer and not difflib.get_close_matches(last, close, n=1, cutoff=TYPING_ERROR_RATIO):
+        # the last words of a name, such as disc in piezo_disc, usually determine the meaning
+        similar = [max(longer, key=lambda leaf: (last.endswith(leaf.lower()), len(leaf)))]
     if not similar:  # the user may type the part number 7BB-20-6 instead of buzzer_7bb_20_6
         normalised = normalise_word(word)
         similar = [
@@ -251,11 +269,23 @@ def did_you_mean(word: str, choices: Iterable[str]) -> str | None:
             for leaf in leaves
             if len(normalised) >= MIN_FRAGMENT_LENGTH and normalised in normalise_word(leaf)
         ][:1]
-    if not similar:  # a longer form of a name, such as topelectrode for topel
-        similar = [
-            leaf for leaf in leaves if len(leaf) >= MIN_FRAGMENT_LENGTH and last.startswith(leaf)
-        ][:1]
     return f"did you mean {leaves[similar[0]]!r}?" if similar else None
+
+
+def _is_longer_name(word: str, name: str) -> bool:
+    """Return whether a word is a longer form of a known name, such as piezo_disc of disc.
+
+    The name is a sequence of words inside of ``word``, or the beginning or the end of ``word``.
+    """
+    if len(name) >= MIN_FRAGMENT_LENGTH and (word.startswith(name) or word.endswith(name)):
+        return True
+    separated = f"_{name}_".replace("-", "_") in f"_{word}_".replace("-", "_")
+    return separated and len(name) >= MIN_WORD_LENGTH
+
+
+def _share_beginning(word: str, name: str) -> bool:
+    """Return whether one of two words is the beginning or the symbol of the other word."""
+    return word.startswith(name) or name.startswith(word) or {word, name} == {"i", "current"}
 
 
 def normalise_word(word: str) -> str:

@@ -42,28 +42,35 @@ _ABANDONED_AGE = 60.0  # s, age at which an unlocked work directory is deleted
 def suggest_file(path: Path, suffixes: Sequence[str] = ()) -> str | None:
     """Suggest an existing file with a name similar to the name of a missing file.
 
-    With ``suffixes``, only files with one of these suffixes are suggested. Otherwise, files with
-    the same suffix as the missing file have precedence. If the missing file is not a TOML file, no
-    TOML file is suggested.
+    Files with the same suffix as the missing file have precedence. With ``suffixes``, only files
+    with one of these suffixes are suggested. Without ``suffixes``, a TOML file is suggested only in
+    place of a missing TOML file.
     """
     names: list[str] = []
     with contextlib.suppress(OSError, ValueError):
         names = sorted(item.name for item in path.parent.iterdir() if item.is_file())
-    if suffixes:
-        return _suggest_stem(path, [name for name in names if Path(name).suffix in suffixes])
     suffix = path.suffix.lower()
+    if suffixes:
+        endings = {item.lower() for item in suffixes}
+        names = [name for name in names if Path(name).suffix.lower() in endings]
     same_suffix = [name for name in names if name.lower().endswith(suffix)]
-    other_formats = [name for name in names if not name.endswith(".toml")]
+    other_formats = [name for name in names if suffixes or not name.endswith(".toml")]
     return _suggest_stem(path, same_suffix) or _suggest_stem(path, other_formats)
 
 
 def _suggest_stem(path: Path, names: Sequence[str]) -> str | None:
     """Suggest the file name that is most similar to ``path``, both without suffix."""
+    name = find_similar_name(path, names)
+    return name and f"did you mean {name!r}?"
+
+
+def find_similar_name(path: Path, names: Sequence[str]) -> str | None:
+    """Return the file name that is most similar to ``path``, both without suffix."""
     import difflib  # difflib is imported here, because most runs do not need it
 
     stems = {Path(name).stem.lower(): name for name in reversed(names)}
     similar = difflib.get_close_matches(path.stem.lower(), stems, n=1, cutoff=0.6)
-    return f"did you mean {stems[similar[0]]!r}?" if similar else None
+    return stems[similar[0]] if similar else None
 
 
 @contextmanager

@@ -236,6 +236,14 @@ USUAL_STIFFNESS = UsualRange(
 )
 Stiffness = Annotated[float, si("N/m"), USUAL_STIFFNESS]
 Density = Annotated[float, si("kg/m3")]
+PLAUSIBLE_SOLID_DENSITY = PlausibleRange(
+    "kg/m3", 1.0, 22_600.0, "no solid is lighter than an aerogel or heavier than osmium"
+)
+# The lower limit exceeds the density of every solid in g/cm3, such as 22.6 g/cm3 for osmium.
+USUAL_SOLID_DENSITY = UsualRange(
+    "kg/m3", 25.0, math.inf, "only gases, foams and aerogels are lighter than 25 kg/m3"
+)
+SolidDensity = Annotated[Density, PLAUSIBLE_SOLID_DENSITY, USUAL_SOLID_DENSITY]
 Pressure = Annotated[float, si("Pa")]
 FluxDensity = Annotated[float, si("T")]
 Resistivity = Annotated[float, si("Ohm m")]
@@ -264,6 +272,13 @@ MechanicalDamping = Annotated[float, si("N s/m")]
 Charge = Annotated[float, si("C")]
 Slew = Annotated[float, si("V/s")]
 Ratio = Annotated[float, si("")]
+_HIGHEST_Q = 1e6
+_REASON_OF_Q = "only crystals in vacuum reach a Q factor of 1e6, a loss factor of 1e-6"
+USUAL_Q_FACTOR = UsualRange("", 0.0, _HIGHEST_Q, _REASON_OF_Q)
+QFactor = Annotated[Ratio, USUAL_Q_FACTOR]
+LossFactor = Annotated[Ratio, UsualRange("", 1 / _HIGHEST_Q, math.inf, _REASON_OF_Q)]
+# The damping ratio is half of the loss factor.
+DampingRatio = Annotated[Ratio, UsualRange("", 0.5 / _HIGHEST_Q, math.inf, _REASON_OF_Q)]
 Count = Annotated[int, BeforeValidator(_convert_whole_number), Strict()]
 Place = Annotated[float, PlainValidator(_parse_independent_value)]
 Rings = Annotated[Literal["needed", "all"] | int, BeforeValidator(_require_ring_choice)]

@@ -13,7 +13,7 @@ from kc2spice.core.units import parse_unit
 PREFIXES = {-18: "a", -15: "f", -12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
 # Units that contain a prefix, with the unit without prefix and the conversion factor.
 _PREFIXED_UNITS = {"kg": ("g", 1e3), "mm": ("m", 1e-3), "um": ("m", 1e-6)}
-# The prefix of A2 s applies to the second, because mA2 would mean (mA)^2.
+# The unit A2 s is printed as s·A², because a prefix before A² would be squared: mA² means (mA)².
 _SHOWN_UNITS = {"Ohm": "Ω", "kg s2": "kg·s²", "A2 s": "s·A²", "um": "µm"}
 # Units of area and volume, with the equivalent of 1 unit in m2 or m3.
 _AREAS = {"m²": 1.0, "cm²": 1e-4, "mm²": 1e-6, "µm²": 1e-12}
@@ -57,6 +57,8 @@ def format_quantity(value: float | None, unit: str, digits: int = 4) -> str:
         return f"{value:g} {unit}".strip()
     if not _accepts_prefix(unit):
         return f"{value:.{digits}g} {show_unit(unit)}".strip()
+    if unit.startswith("kg/"):  # a second prefix, as in kkg/m3, is no unit
+        return f"{float(f'{value:.{digits}g}'):g} {show_unit(unit)}"
     if unit in _PREFIXED_UNITS:
         base_unit, factor = _PREFIXED_UNITS[unit]
         if unit == "kg" and abs(value) >= LARGEST_MASS:
@@ -73,20 +75,27 @@ def _is_power_of_length(unit: str) -> bool:
 
 
 def _format_power_of_length(value: float, unit: str, digits: int) -> str:
-    """Format an area or a volume in the largest unit in which it is at least 0.1."""
+    """Format an area or a volume in the largest unit in which it is at least 0.1.
+
+    A value that is too large for the smallest unit is printed in m2 or m3 with a power of ten.
+    """
     base, slash, divisor = unit.partition("/")
     units = _POWERS_OF_LENGTH[base]
     large = [name for name, size in units.items() if abs(value) >= MIN_SHARE_OF_UNIT * size]
     name = large[0] if large else list(units)[-1]
-    sign = "−" if value < 0.0 else ""
-    return f"{sign}{abs(value) / units[name]:.{digits}g} {name}{slash}{divisor}"
+    sign, number = "−" if value < 0.0 else "", f"{abs(value) / units[name]:.{digits}g}"
+    if "e" in number:
+        name = next(iter(units))
+        number = f"{abs(value):.{digits}g}"
+    return f"{sign}{number} {name}{slash}{divisor}"
 
 
 def _accepts_prefix(unit: str) -> bool:
     """Return whether a unit accepts SI prefixes; a phrase used as a unit does not.
 
     A unit with spaces but without the word ``per``, such as ``of the peak``, is a phrase and
-    accepts no prefix. A unit with the word ``per`` accepts prefixes, and so does A2 s.
+    accepts no prefix. A unit with the word ``per`` accepts prefixes. The unit ``A2 s``,
+    ampere squared times second, also accepts prefixes.
     """
     return bool(unit) and (" " not in unit or " per " in unit or unit == "A2 s")
 
@@ -139,12 +148,15 @@ def format_percent(ratio: float, digits: int = 3) -> str:
 def remove_unit_words(unit: str) -> str:
     """Remove explanatory words from a unit, such as ``beyond`` from ``V beyond``.
 
-    Every ratio gets the unit ``relative``.
-
     Examples
     --------
-    >>> list(map(remove_unit_words, ("of the energy exchanged", "V beyond", "contact events")))
-    ['relative', 'V', '']
+    >>> remove_unit_words("V beyond"), remove_unit_words("contact events")
+    ('V', '')
+
+    A text that begins with ``of`` describes a ratio, so the result is ``relative``.
+
+    >>> remove_unit_words("of the energy exchanged")
+    'relative'
     """
     if unit.startswith(_RATIO_WORDS):
         return "relative"
@@ -171,11 +183,12 @@ def format_value_and_limit(value: float, limit: float, unit: str) -> tuple[str, 
     >>> format_value_and_limit(2.93e-4, 0.1, "of the energy exchanged")
     ('0.0293 % of the energy exchanged', '10 %')
     """
-    prefixed = _accepts_prefix(unit)
+    is_ratio = unit.startswith(_RATIO_WORDS)
+    prefixed = _accepts_prefix(unit) and not is_ratio
     scalable = prefixed and unit not in _PREFIXED_UNITS and not _is_power_of_length(unit)
     if abs(value) < ROUNDING_NOISE * max(abs(limit), 0.0 if prefixed else 1.0):
         value = 0.0
-    if unit.startswith(_RATIO_WORDS):
+    if is_ratio:
         words = unit.removeprefix("relative")
         joint = "" if words.startswith(",") else " "
         text = format_percent(value) if limit >= MIN_RATIO_IN_PERCENT else f"{100 * value:.3g} %"

@@ -7,14 +7,16 @@ mistake. Each function ``_repair_…`` proposes repaired lines for one kind of m
 
 from __future__ import annotations
 
+import json
 import math
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from kc2spice.core.errors import UsageError
+from kc2spice.core.files import RESULT_FILE
 from kc2spice.core.untrusted_files import (
     LONGEST_KEY,
     MAX_NESTING,
@@ -53,10 +55,11 @@ class _Repair:
     action: str
 
 
-def parse_toml_file(text: str, label: str) -> dict[str, Any]:
+def parse_toml_file(text: str, label: str, lists: Collection[str] = ()) -> dict[str, Any]:
     """Parse the text of a TOML file; raise an error that suggests a correction.
 
-    Return the tables of the text. Error messages state ``label`` as the name of the file.
+    Return the tables of the text. Error messages state ``label`` as the name of the file. ``lists``
+    contains the keys of the file that are lists of tables, such as ``[[ports]]``.
 
     Raises
     ------
@@ -65,10 +68,12 @@ def parse_toml_file(text: str, label: str) -> dict[str, Any]:
     try:
         return parse_toml(text)
     except ValueError as error:
-        raise make_toml_error(text, error, label) from None
+        raise make_toml_error(text, error, label, lists) from None
 
 
-def make_toml_error(text: str, error: ValueError, label: str) -> UsageError:
+def make_toml_error(
+    text: str, error: ValueError, label: str, lists: Collection[str] = ()
+) -> UsageError:
     """Make the error for text that the TOML parser rejected, with a suggested repair.
 
     Parameters
@@ -76,6 +81,7 @@ def make_toml_error(text: str, error: ValueError, label: str) -> UsageError:
     text : content of the file.
     error : the exception of :func:`kc2spice.core.untrusted_files.parse_toml`.
     label : name of the file.
+    lists : keys of the file that are lists of tables.
     """
     number = _find_line_number(text, str(error))
     if number is None:  # the errors "too long" and "nested too deeply" have no line number
@@ -100,8 +106,9 @@ def make_toml_error(text: str, error: ValueError, label: str) -> UsageError:
     if error_by_pattern is not None:
         return error_by_pattern
     reached = _find_error_position(text, str(error))
-    for propose in _REPAIR_FUNCTIONS:
-        for repair in propose(lines, number):
+    proposals = (propose(lines, number) for propose in _REPAIR_FUNCTIONS)
+    for repairs in (_repair_header(lines, number, lists), *proposals):
+        for repair in repairs:
             if _measure_parser_position(lines, repair) > reached:
                 return UsageError(
                     repair.problem,
@@ -146,12 +153,29 @@ def _make_other_format_error(text: str, label: str) -> UsageError | None:
         action = "kc2spice reduce FILE  reads a table of measured values"
     if not name:
         return None
+    if name == "JSON" and Path(label).name == RESULT_FILE and (scene := _find_result_scene(text)):
+        return UsageError(
+            "this file contains the results of a run, not a scene",
+            where=label,
+            expected="a TOML file with a table for each part",
+            hint=f"write the name or the TOML file of the scene {scene} in place of {label}",
+        )
     return UsageError(
         f"this file is {name}, not a scene",
         where=label,
         expected="a TOML file with a table for each part",
         hint=action.replace("FILE", label),
     )
+
+
+def _find_result_scene(text: str) -> str:
+    """Return the name of the scene in the text of ``result.json``, or an empty text."""
+    try:
+        record = json.loads(text)
+    except (ValueError, RecursionError):
+        return ""
+    name = record.get("scene") if isinstance(record, dict) else None
+    return name if isinstance(name, str) and name.isprintable() else ""
 
 
 def _is_table_of_numbers(text: str) -> bool:
@@ -278,8 +302,11 @@ def _repair_unmatched_quote(lines: Sequence[str], number: int) -> Iterator[_Repa
             yield _Repair("missing closing quote", at, closing, _suggest_line(closing))
 
 
-def _repair_header(lines: Sequence[str], number: int) -> Iterator[_Repair]:
-    """Yield repairs of a table header whose brackets do not match."""
+def _repair_header(lines: Sequence[str], number: int, lists: Collection[str]) -> Iterator[_Repair]:
+    """Yield repairs of a table header whose brackets do not match.
+
+    ``lists`` contains the keys of the file that are lists of tables.
+    """
     brackets, name = _parse_header(lines[number - 1])
     if not name:
         return
@@ -288,8 +315,8 @@ def _repair_header(lines: Sequence[str], number: int) -> Iterator[_Repair]:
         header = f"{brackets}{plain}{']' * len(brackets)}"
         problem = "the name of this table contains a blank"
         yield _Repair(problem, number, header, _suggest_line(header))
-    # at the top level of a scene, no key is a list of tables
-    header = f"[[{name}]]" if brackets == "[[" and "." in name else f"[{name}]"
+    is_list = name in lists or (brackets == "[[" and "." in name)
+    header = f"[[{name}]]" if is_list else f"[{name}]"
     yield _Repair("the brackets of a table do not match", number, header, _suggest_line(header))
 
 
@@ -407,7 +434,6 @@ def _repair_decimal_comma(lines: Sequence[str], number: int) -> Iterator[_Repair
 
 
 _REPAIR_FUNCTIONS: tuple[Callable[[Sequence[str], int], Iterator[_Repair]], ...] = (
-    _repair_header,
     _repair_decimal_comma,
     _repair_typographic_quotes,
     _repair_assignment,

@@ -10,7 +10,10 @@ from pydantic import Field, model_validator
 
 from kc2spice.core.quantities import (
     Count,
+    DampingRatio,
     Frequency,
+    LossFactor,
+    QFactor,
     Rate,
     Ratio,
     RefinementRule,
@@ -59,14 +62,14 @@ class DampingKeys(Section):
     default the first resonance of the body.
     """
 
-    ratio: Ratio | tuple[Ratio, Ratio] | None = Field(
+    ratio: DampingRatio | tuple[DampingRatio, DampingRatio] | None = Field(
         None,
         description=(
             "Damping ratio (fraction of critical damping) at `damping.at`, or two "
             "damping ratios for two frequencies"
         ),
     )
-    quality: Ratio | None = Field(
+    quality: QFactor | None = Field(
         None,
         gt=0,
         description=(
@@ -74,7 +77,7 @@ class DampingKeys(Section):
             "`damping.ratio`"
         ),
     )
-    loss_factor: Ratio | None = Field(
+    loss_factor: LossFactor | None = Field(
         None,
         ge=0,
         description=(

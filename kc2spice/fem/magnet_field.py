@@ -53,8 +53,8 @@ from kc2spice.core.quantities import MU_0
 from kc2spice.fem.magnet_keys import CatchKeys, RingKeys
 from kc2spice.linalg.factor import Factor, factorise_supernodal
 
-# Smallest number of sphere heights at which the field is computed a second time.
-# The second field is computed with elements of twice the size, to estimate the error.
+# Minimum number of sphere heights that are selected to estimate the error of the field.
+# At each selected height, the field is also computed with elements of twice the size.
 MIN_COMPARED_HEIGHTS = 5
 RING, SPHERE, LOWER, UPPER = range(4)  # column numbers of the load vectors and of the fields
 # Element sizes for refine = 1, relative to the sphere's radius, and increase of size per distance.
@@ -235,7 +235,7 @@ def make_field_assembler(catch: CatchKeys, bore: BoreLattice) -> Callable[[float
     mesh, sphere = mesh_mover(bore)
     coercivity = catch.remanence / (catch.mu_r * MU_0)
     moved = _compute_element_matrices(
-        catch, mesh, sphere, {SPHERE: (_remanence_load, coercivity, sphere)}
+        catch, mesh, sphere, {SPHERE: (_coercivity_load, coercivity, sphere)}
     )
     r, y = moved.points
     edge = 1e-6 * bore.pitch
@@ -256,7 +256,7 @@ def make_field_assembler(catch: CatchKeys, bore: BoreLattice) -> Callable[[float
     centres = mesh.p[:, mesh.t].mean(axis=1)
     (r, y), boxes = centres, list(map(get_section, list_actuator_sections(catch)))
     ring, *coils = ((r > a) & (r < c) & (y > b) & (y < d) for a, b, c, d in boxes)
-    sources = {RING: (_remanence_load, coercivity, ring)}
+    sources = {RING: (_coercivity_load, coercivity, ring)}
     for column, coil, inside in zip((LOWER, UPPER), (catch.lower, catch.upper), coils, strict=True):
         density = catch.turns / ((coil.outer - coil.inner) * coil.height)
         sources[column] = (_current_load, density, inside)
@@ -351,8 +351,11 @@ def _stiffness_derivative(u: Any, v: Any, w: Any) -> np.ndarray:
 
 
 @LinearForm
-def _remanence_load(v: Any, w: Any) -> np.ndarray:
-    """Return the load integrand of an axial remanence for a coercivity of 1 A/m."""
+def _coercivity_load(v: Any, w: Any) -> np.ndarray:
+    """Return the load integrand of an axially magnetised magnet of coercivity 1 A/m.
+
+    The coercivity is the remanence divided by the permeability.
+    """
     r = w.x[0]
     return 2 * pi * r * (2 * v + r * v.grad[0])
 

@@ -67,7 +67,7 @@ def reject_implausible_coupling(
         exponent, likely = (-12, "pC/N") if largest >= 1 else (-9, "nC/N")
     hint = f"multiply the matrix by 1e{exponent} if its values are in {likely}"
     if isinstance(values, Mapping):
-        hint = f"write  {_scale_components(wrong, exponent)}  if the values are in {likely}"
+        hint = f"write  {_format_scaled_components(wrong, exponent)}  if the values are in {likely}"
     raise UsageError(
         "no material has these piezoelectric coefficients",
         where=key,
@@ -99,7 +99,7 @@ def reject_mixed_elastic_units(key: str, values: _Values) -> None:
     unit, exponent, likely = ("1/Pa", -12, "1/TPa") if soft else ("Pa", 9, "GPa")
     hint = f"state all values in {unit}; these values seem to be in {likely}"
     if isinstance(values, Mapping):
-        hint = f"write  {_scale_components(wrong, exponent)}  if the values are in {likely}"
+        hint = f"write  {_format_scaled_components(wrong, exponent)}  if the values are in {likely}"
     raise UsageError(
         "some elastic constants are in another unit than the other constants",
         where=key,
@@ -125,7 +125,7 @@ def reject_implausible_stiffness(largest: float, key: str, values: _Values) -> N
             continue
         power = -exponent if soft else exponent
         if isinstance(values, Mapping):
-            hint = f"write  {_scale_components(values, power)}  if the values are in {unit}"
+            hint = f"write  {_format_scaled_components(values, power)}  if the values are in {unit}"
         elif isinstance(values, float):
             hint = f'write  {key} = "{values:g} {unit}"'
         else:
@@ -203,8 +203,8 @@ def _list_components(values: Mapping[str, float], unit: str) -> str:
     return ", ".join(texts[:5]) + (", …" if len(texts) > 5 else "")
 
 
-def _scale_components(values: Mapping[str, float], exponent: int) -> str:
-    """Return the text of tensor components after multiplication by a power of ten."""
+def _format_scaled_components(values: Mapping[str, float], exponent: int) -> str:
+    """Format tensor components as text, scaled by a power of ten."""
     texts = []
     for name, value in values.items():
         plain = f"{value:g}"

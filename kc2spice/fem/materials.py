@@ -48,6 +48,7 @@ from kc2spice.core.quantities import (
     EPSILON_0,
     Density,
     Pressure,
+    QFactor,
     Ratio,
     Section,
     convert_quantity,
@@ -444,7 +445,7 @@ class MaterialTable(Section):
             "Whether the material is an electrical conductor, so that its faces can be electrodes"
         ),
     )
-    quality: Ratio | None = Field(
+    quality: QFactor | None = Field(
         None,
         gt=0,
         description="Mechanical Q factor of the material, used if damping.per_material is true",
@@ -830,8 +831,8 @@ def _load_material(name: str) -> Material:
     return MaterialTable.model_validate(_load_tables()[name]).build_material(name)
 
 
-# Lines that the table of a piezoelectric ceramic needs, keyed by the key of the line. The values
-# are those of PZT-5A.
+# Each key that a piezoelectric ceramic needs in its TOML table, with an example line for this key.
+# The example values are those of PZT-5A.
 _CERAMIC_LINES = {
     "symmetry": 'symmetry = "6mm"',
     "strain_coupling": "strain_coupling = { d31 = -171e-12, d33 = 374e-12, d15 = 584e-12 }",

@@ -113,16 +113,28 @@ class GroupedMesh:
         UsageError : the group does not exist, is empty, or has another codimension.
         """
         result = self.groups.get(name)
-        if not self.groups:
+        fitting = [
+            key
+            for key, group in self.groups.items()
+            if not codimensions or group.codimension in codimensions
+        ]
+        kinds = ("elements", "faces", "curves", "points")
+        if self.mesh.dim() == 2:
+            kinds = ("elements", "curves", "points", "")
+        needed = " or ".join(kinds[c] for c in codimensions)
+        if result is None and not fitting:
+            dimension = self.mesh.dim() - (codimensions or (0,))[0]
+            command = f'gmsh.model.addPhysicalGroup({dimension}, [1], name="{name}")'
             raise UsageError(
-                "the mesh has no groups",
+                f"the mesh has no groups{f' of {needed}' if self.groups else ''}",
                 where=where,
                 got=repr(name),
                 expected="a physical group of the mesh for each material, electrode and port",
-                hint=f'add the group in gmsh: gmsh.model.addPhysicalGroup(3, [1], name="{name}")',
+                hint=f"add the group in gmsh, with the numbers of its {needed or kinds[0]} in "
+                f"place of 1: {command}",
             )
         if result is None:
-            raise unknown("the mesh has no such group", name, sorted(self.groups), where)
+            raise unknown("the mesh has no such group", name, sorted(fitting), where)
         if not result.members.size:
             filled = [key for key, group in self.groups.items() if group.members.size]
             raise wrong(
@@ -133,11 +145,6 @@ class GroupedMesh:
                 hint=f"use a group that is not empty: {list_candidates(name, filled)}",
             )
         if codimensions and result.codimension not in codimensions:
-            kinds = ("elements", "faces", "curves", "points")
-            if self.mesh.dim() == 2:
-                kinds = ("elements", "curves", "points", "")
-            fitting = [k for k, group in self.groups.items() if group.codimension in codimensions]
-            needed = " or ".join(kinds[c] for c in codimensions)
             hint = f"write {fitting[0]} in place of {name}" if fitting else (
                 f"add a group of {needed} to the mesh"
             )  # fmt: skip

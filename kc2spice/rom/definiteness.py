@@ -10,12 +10,11 @@ from kc2spice.rom.rigid_body import ENERGY_FACTOR, estimate_energy_rounding
 from kc2spice.rom.rounding import ZERO_ENTRY_FACTOR
 
 
-def has_definite_form(pencil: Pencil, *, undamped_too: bool = False) -> bool:
-    """Return whether a model has definite form: symmetric and proportionally damped.
+def is_symmetric_and_proportionally_damped(pencil: Pencil, *, undamped_too: bool = False) -> bool:
+    """Return whether a model is symmetric and proportionally damped.
 
-    A model with definite form is also collocated and of second order. If ``undamped_too`` is true,
-    undamped models also have the definite form. The function does not check whether the matrices
-    are positive definite.
+    The model must also be collocated and of second order. If ``undamped_too`` is true, the damping
+    may also be zero.
     """
     proportional = pencil.rayleigh is not None or (undamped_too and pencil.is_undamped)
     return pencil.degree == 2 and proportional and pencil.is_symmetric and pencil.is_collocated
@@ -24,22 +23,23 @@ def has_definite_form(pencil: Pencil, *, undamped_too: bool = False) -> bool:
 def allows_cholesky(pencil: Pencil) -> bool:
     """Return whether a model's form allows Cholesky factorisation of its stiffness.
 
-    The model must have definite form (:func:`has_definite_form`). If the stiffness matrix K is a
-    Schur complement, the result is true only if the model has at least ``QUASI_DEFINITE_UNKNOWNS``
-    unknowns. With fewer unknowns, factors with pivoting are faster. The function does not check
-    whether K is positive definite.
+    The model must be symmetric, collocated and undamped or proportionally damped. If the stiffness
+    matrix K is a Schur complement, the result is true only if the model has at least
+    ``QUASI_DEFINITE_UNKNOWNS`` unknowns. With fewer unknowns, factors with pivoting are faster. The
+    function does not check whether K is positive definite.
     """
-    K, form = pencil.coefficients[0], has_definite_form(pencil, undamped_too=True)
-    return form and not (isinstance(K, SchurComplement) and not K.is_large)
+    K = pencil.coefficients[0]
+    suitable = is_symmetric_and_proportionally_damped(pencil, undamped_too=True)
+    return suitable and not (isinstance(K, SchurComplement) and not K.is_large)
 
 
 def is_definite(pencil: Pencil, *, undamped_too: bool = False) -> bool:
     """Return whether a symmetric model has a positive definite stiffness matrix K.
 
-    The result is also False if the model does not have definite form: if it is not symmetric, not
-    collocated or not proportionally damped (:func:`has_definite_form`).
+    The result is also False if the model is not symmetric, not collocated or not proportionally
+    damped (:func:`is_symmetric_and_proportionally_damped`).
     """
-    if not has_definite_form(pencil, undamped_too=undamped_too):
+    if not is_symmetric_and_proportionally_damped(pencil, undamped_too=undamped_too):
         return False
     load = np.random.default_rng(0).standard_normal((pencil.size, 1))
     try:

@@ -16,7 +16,7 @@ import scipy
 
 from kc2spice.core.errors import SimulationError
 from kc2spice.linalg.factor import Factor, factorise
-from kc2spice.rom.definiteness import has_definite_form
+from kc2spice.rom.definiteness import is_symmetric_and_proportionally_damped
 from kc2spice.rom.pencil import Pencil, SchurComplement, compute_absolute_entries
 from kc2spice.rom.rigid_body import estimate_energy_rounding, split_driven_modes
 from kc2spice.rom.rounding import ZERO_ENTRY_FACTOR
@@ -118,11 +118,11 @@ class FreeBody:
 def split_free_body(pencil: Pencil, omega: float) -> FreeBody | None:
     """Split the model of a free body into its rigid-body modes and an elastic part.
 
-    ``omega`` [rad/s] is the upper band limit. Return None if the function :func:`has_definite_form`
-    returns false, or if the model has no rigid-body modes. Also return None if the stiffness of
-    supports is as small as rounding errors.
+    ``omega`` [rad/s] is the upper band limit. Return None if the model has no rigid-body modes, or
+    if the function :func:`is_symmetric_and_proportionally_damped` returns false. Also return None
+    if the stiffness of supports is as small as rounding errors.
     """
-    if not has_definite_form(pencil, undamped_too=True):
+    if not is_symmetric_and_proportionally_damped(pencil, undamped_too=True):
         return None
     shift = _choose_shift(pencil, omega)
     if shift > MAX_SHIFT_RATIO * omega**2:

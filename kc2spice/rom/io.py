@@ -14,7 +14,9 @@ from __future__ import annotations
 
 import json
 import warnings
+import zipfile
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import asdict
 from itertools import chain
 from pathlib import Path
@@ -174,6 +176,7 @@ MAX_FILE_BYTES = 1_000_000_000
 MAX_ENTRIES = 50_000_000  # largest number of entries of one matrix
 MAX_TEXT_LENGTH = 64  # largest number of characters of a name or unit
 _EXPECTED_FILE = "the .npz file that kc2spice reduce wrote, or the .json file beside its matrices"
+REDUCE_HINT = "run kc2spice reduce MODEL, which writes NAME_rom/NAME_rom.npz"
 _RECORD_NAME = "record"  # name of the JSON text in an archive
 
 
@@ -205,7 +208,7 @@ def require_rom_file(path: Path) -> None:
             "this path is a directory" if path.is_dir() else "this file does not exist",
             where=str(path),
             expected=_EXPECTED_FILE,
-            hint="run kc2spice reduce MODEL, which writes NAME_rom/NAME_rom.npz",
+            hint=REDUCE_HINT,
         )
 
 
@@ -227,7 +230,7 @@ def read_rom(path: Path | str) -> LinearModel:
             where=str(path),
             got=f"a file that ends with {path.suffix or 'no suffix'}",
             expected=_EXPECTED_FILE,
-            hint="run kc2spice reduce MODEL, which writes NAME_rom/NAME_rom.npz",
+            hint=REDUCE_HINT,
         )
     try:
         if path.suffix == ".npz":
@@ -310,17 +313,27 @@ def read_arrays(path: Path, names: Iterable[str]) -> tuple[dict[str, np.ndarray]
 
 def make_damage_error(path: Path, error: Exception) -> UsageError:
     """Make the error for a damaged file, or for a file without a reduced model."""
-    unreduced = isinstance(error, KeyError) and _RECORD_NAME in str(error)
     reason = " ".join(str(error).split())[:120] or type(error).__name__
+    hint = "run kc2spice reduce again"
+    if isinstance(error, KeyError):
+        kind = "an archive" if path.suffix == ".npz" else "a file"
+        reason, hint = f"{kind} without the record of a reduced model", REDUCE_HINT
+        if _contains_matrices(path):
+            hint = f"run kc2spice reduce {path}, which writes {path.stem}_rom/{path.stem}_rom.npz"
     return UsageError(
         "this file is not a reduced model",
         where=str(path),
-        got="an archive without the record of a reduced model" if unreduced else reason,
+        got=reason,
         expected="a file that 'kc2spice reduce' wrote",
-        hint=f"run kc2spice reduce {path}, which writes {path.stem}_rom/{path.stem}_rom.npz"
-        if unreduced
-        else "run kc2spice reduce again",
+        hint=hint,
     )
+
+
+def _contains_matrices(path: Path) -> bool:
+    """Return whether an archive contains a matrix K or A, which every model has."""
+    with suppress(OSError, zipfile.BadZipFile), zipfile.ZipFile(path) as archive:
+        return not {"K", "A"}.isdisjoint(name.partition(".")[0] for name in archive.namelist())
+    return False
 
 
 def require_single_line(text: str, longest: int) -> str:

@@ -609,6 +609,8 @@ LOSS_FACTOR_TOLERANCE = 1e-9
 def _set_structural_damping(model: LinearModel) -> None:
     """Set and check the loss matrix and loss factor; a complex K gives both."""
     put, K, where = object.__setattr__, model.K, model.name
+    if isinstance(K, (list, tuple)):
+        K = _make_array(K, "K", where)
     if K is not None and not isinstance(K, SchurComplement) and np.iscomplexobj(K):
         if model.structural:
             raise UsageError(

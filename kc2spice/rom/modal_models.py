@@ -391,7 +391,7 @@ def simulate_resonators(
     # undamped massless states respond without delay
     delayed = inertial + np.flatnonzero(model.damp[inertial:])
     damp = model.damp[delayed]
-    z[:, delayed] = integrate_roots(
+    z[:, delayed] = integrate_modal_states(
         -(model.omega[delayed] ** 2) / damp, t, drive[:, delayed] / damp
     ).real
     stored = (rate**2).sum(axis=1) / 2 + ((model.omega * z) ** 2).sum(axis=1) / 2
@@ -409,18 +409,18 @@ def integrate_modes(
     """
     a, b = _compute_oscillator_roots(omega, damp)
     if (b == a.conj()).all():  # for conjugate roots, x_b is the conjugate of x_a
-        x_a = integrate_roots(a, t, drive)
+        x_a = integrate_modal_states(a, t, drive)
         x_b = x_a.conj()
     else:
-        both = integrate_roots(np.concatenate([a, b]), t, np.tile(drive, 2))
+        both = integrate_modal_states(np.concatenate([a, b]), t, np.tile(drive, 2))
         x_a, x_b = both[:, : a.size], both[:, a.size :]
     return ((x_a - x_b) / (a - b)).real, ((a * x_a - b * x_b) / (a - b)).real
 
 
-def integrate_roots(roots: np.ndarray, t: np.ndarray, drive: np.ndarray) -> np.ndarray:
-    """Integrate modal states ``x' = a x + r`` over time for all roots (poles) a.
+def integrate_modal_states(roots: np.ndarray, t: np.ndarray, drive: np.ndarray) -> np.ndarray:
+    """Integrate the modal states ``x' = a x + r`` of all poles a over time.
 
-    ``drive`` contains the values of r at the times ``t``.
+    ``roots`` contains the poles a, and ``drive`` the values of r at the times ``t``.
 
     Return the states x, an array of shape (n, roots). The time steps are divided into groups. All
     groups are integrated in parallel, each from the state zero. Afterwards, the free response that

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
+from kc2spice.core.argument_and_option_names import check_arguments
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import convert_quantity
 from kc2spice.linalg.solver import DirectSolver, use_solver
@@ -85,6 +86,7 @@ if TYPE_CHECKING:
         ...
 
 
+@check_arguments
 def reduce(
     model: LinearModel | AffineModel,
     *,

@@ -25,7 +25,7 @@ from kc2spice.rom.linear_model import LinearModel, Norm, make_linear_model
 from kc2spice.rom.modal_models import (
     Resonators,
     compute_resonators,
-    integrate_roots,
+    integrate_modal_states,
     simulate_resonators,
 )
 from kc2spice.rom.pencil import Pencil
@@ -120,7 +120,9 @@ def compute_time_response(model: LinearModel, t: np.ndarray, load: np.ndarray) -
     if np.linalg.cond(T) > MAX_CONDITION or not poles.all():
         return None
     for rows in _split_modes(poles.size, t.size):
-        result += (integrate_roots(poles[rows], t, load @ gains[rows].T) @ (C @ T[:, rows]).T).real
+        result += (
+            integrate_modal_states(poles[rows], t, load @ gains[rows].T) @ (C @ T[:, rows]).T
+        ).real
     return result if np.isfinite(result).all() else None
 
 

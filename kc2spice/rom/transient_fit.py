@@ -72,7 +72,7 @@ class StepSamples(EqualByContent):
     offset: bool
 
     @cached_property
-    def _sample_groups(self) -> tuple[np.ndarray, np.ndarray]:
+    def _time_sample_groups(self) -> tuple[np.ndarray, np.ndarray]:
         """Groups of time samples: start index and scale factor of each group."""
         after = self.time > 0
         number = np.full(len(self.time), -1)
@@ -89,7 +89,7 @@ class StepSamples(EqualByContent):
         group. With this scaling, a fit to the means gives the same parameters as a fit to all rows
         if the fitted function is constant within each group.
         """
-        first, scale = self._sample_groups
+        first, scale = self._time_sample_groups
         return np.asarray(
             scale[:, None] * np.add.reduceat(self.weight[:, None] ** 2 * table, first)
         )

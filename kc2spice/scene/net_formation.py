@@ -8,13 +8,14 @@ assigns all names of nodes and cards in a deck, so these names are unique.
 from __future__ import annotations
 
 from collections.abc import Collection, Hashable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from itertools import combinations, product
 from operator import attrgetter
 from string import ascii_lowercase
 from typing import Any
 
-from kc2spice.core.domains import ELECTRICAL, QUANTITIES, Domain
+from kc2spice.core.domains import ELECTRICAL, QUANTITIES, Domain, find_across_quantity
 from kc2spice.core.errors import UsageError, did_you_mean, list_candidates, unknown
 from kc2spice.scene.part_records import EquilibriumConditions
 from kc2spice.scene.parttype import find_current_into
@@ -75,7 +76,7 @@ def with_equilibrium_conditions(scene: Scene) -> Scene:
 
 
 def _with_nets(scene: Scene) -> Scene:
-    """Return the scene with all nets, and with all names of nodes and cards."""
+    """Form all nets of a scene; name its nodes and cards."""
     scene = add_default_joins(scene)
     terminals = {}
     for part in scene.parts.values():
@@ -196,10 +197,9 @@ def _require_same_kind(a: Pin, b: Pin, scene: Scene, where: str) -> None:
         return
     first, second = scene.terminals[a], scene.terminals[b]
     if not _are_compatible(first, second):
+        pins = [*scene.terminals.items(), *_list_optional_pins(scene)]
         fitting = (
-            pin
-            for pin, terminal in scene.terminals.items()
-            if pin[0] != a[0] and _are_compatible(first, terminal)
+            pin for pin, terminal in pins if pin[0] != a[0] and _are_compatible(first, terminal)
         )
         choices = list(map(".".join, fitting))
         hint = _suggest_kind(a[0], first, second) or _suggest_target(a, choices, scene)
@@ -207,12 +207,32 @@ def _require_same_kind(a: Pin, b: Pin, scene: Scene, where: str) -> None:
         raise UsageError(
             "this connection joins pins of different kinds",
             where=where,
-            got=f"{'.'.join(a)} is a pin in {first.kind}, {name} a pin in {second.kind}",
-            expected=f"gnd, or a pin in {first.kind}: {list_candidates(name, choices)}"
+            got=f"{'.'.join(a)} is a pin of kind {first.kind}, {name} is of kind {second.kind}",
+            expected=f"gnd, or a pin of kind {first.kind}: {list_candidates(name, choices)}"
             if choices
-            else f"gnd; no other part of the scene has a pin in {first.kind}",
+            else f"gnd; no other part of the scene has a pin of kind {first.kind}",
             hint=hint,
         )
+
+
+def _list_optional_pins(scene: Scene) -> Iterator[tuple[Pin, Terminal]]:
+    """Yield the pins that the parts of a scene lack, because the scene does not join them."""
+    every = replace(scene, ports="all")
+    for part in scene.parts.values():
+        added = [pin for pin, key in part.type.optional_pins.items() if key == f"pins.{pin}"]
+        names = dict.fromkeys([*_compute_pins(part, every), *added])
+        for name in names:
+            joined = replace(part, pins={name: GROUND, **part.pins})
+            terminal = _compute_pins(joined, scene).get(name)
+            if terminal is not None and (part.name, name) not in scene.terminals:
+                yield (part.name, name), terminal
+
+
+def _compute_pins(part: Part, scene: Scene) -> dict[str, Terminal]:
+    """Return the pins of a part, keyed by name; no pins if the part has an error."""
+    with suppress(UsageError):
+        return {terminal.name: terminal for terminal in part.type.pins(part, scene)}
+    return {}
 
 
 def _suggest_kind(part: str, terminal: Terminal, other: Terminal) -> str | None:
@@ -240,13 +260,17 @@ def _suggest_target(pin: Pin, choices: Sequence[str], scene: Scene) -> str:
 def _are_compatible(a: Terminal, b: Terminal) -> bool:
     """Return whether two pins have equal units and compatible flows.
 
-    The flows of two pins are compatible if they are equal, or if one of the pins has no flow.
+    The flows of two pins are compatible if they have equal units, or if one of the pins is a signal
+    pin, which has no flow.
     """
     return a.unit == b.unit and (a.flow == b.flow or "-" in (a.flow, b.flow))
 
 
 def _require_one_kind(net: list[Pin], scene: Scene) -> None:
-    """Reject a net in which a signal pin joins pins of different kinds."""
+    """Reject a net that contains two pins of incompatible kinds.
+
+    A signal pin on a net may be compatible with two pins that are not compatible with each other.
+    """
     for a, b in combinations(() if _GROUND_PIN in net else net, 2):
         _require_same_kind(a, b, scene, f"{a[0]}.pins.{a[1]}")
 
@@ -278,7 +302,7 @@ def _name_nets(groups: list[list[Pin]], scene: Scene) -> dict[Pin, str]:
 
 
 def _with_inner_names(scene: Scene) -> Scene:
-    """Return the scene with names of ammeters, internal nodes and extra cards.
+    """Return a scene with names for its ammeters, internal nodes and extra cards.
 
     Each name occurs only once in the deck.
     """
@@ -301,8 +325,8 @@ def list_metered_pins(part: Part, scene: Scene) -> dict[str, Domain]:
     """Return the pins of a part at which a flow can be measured, with their domains.
 
     Pins on ground are excluded. If the flow of a domain is a power, the reference pin, such as
-    ``ambient``, is also excluded. The flow at a reference pin is the sum of the flows at the other
-    pins.
+    ``ambient``, is also excluded. The flow out of a reference pin is the sum of the flows into all
+    other pins of the part.
     """
     result: dict[str, Domain] = {}
     for pin in scene.pins(part.name):
@@ -358,7 +382,7 @@ def _list_metered_pins(scene: Scene) -> Iterator[Pin]:
 
 
 def _reports_pin_current(body: Part, pin: str, scene: Scene) -> bool:
-    """Return whether one part is joined to a body's pin and reports the pin's current."""
+    """Return whether a single part is joined to a body's pin and reports its current."""
     build = BuiltScene(scene, {})
     records = {}
     for name, _ in scene.list_joined_pins(body.name, pin):
@@ -380,7 +404,8 @@ def _make_unjoined_error(
 ) -> UsageError:
     """Return the error about a required pin that is not joined.
 
-    If possible, the hint names a target pin that is also not joined. A connection to a pin that is
+    If possible, the hint names a target pin that is also not joined. Such a pin may exist only if
+    the scene joins it, such as a port of a body. A connection to a pin that is
     already joined could short-circuit a voltage, such as a bias voltage. For a displacement pin,
     the error does not suggest ground, because ground would clamp the motion.
     """
@@ -389,6 +414,9 @@ def _make_unjoined_error(
     for end, other in scene.terminals.items():
         if end[0] != name and _are_compatible(terminal, other):
             (waiting if end in alone else fitting).append(end)
+    for end, other in _list_optional_pins(scene):
+        if end[0] != name and _are_compatible(terminal, other):
+            waiting.append(end)
     names = list(map(".".join, waiting + fitting))
     count = LISTED_PINS - (not terminal.can_move)
     pin, more = terminal.name, "" if len(names) <= count else ", …"
@@ -403,11 +431,13 @@ def _make_unjoined_error(
                 f'resistance = "1 MOhm", pins = {{ a = "{name}.{pin}" }}'
             )
     elif terminal.can_move:
-        hint = f'add a part that {name} moves with, such as [spring] with part = "spring"'
+        hint = 'add a mechanical part for this pin, such as [spring] with part = "spring"'
     else:
         hint = f'add  pins = {{ {pin} = "{GROUND}" }}  to [{name}]'
     ground = [] if terminal.can_move else [GROUND]
-    kind = "an electrical pin" if terminal.domain is ELECTRICAL else f"a pin of {terminal.kind}"
+    kind = (
+        "an electrical pin" if terminal.domain is ELECTRICAL else f"a pin of kind {terminal.kind}"
+    )
     pin_kind = "a displacement pin" if terminal.can_move else kind
     listed = ", ".join([*names[:count], *ground])
     return UsageError(
@@ -427,11 +457,11 @@ def _require_one_output_per_net(scene: Scene) -> None:
         net = scene.nets[name, pin]
         if terminal.signal_out and net in drivers:
             raise UsageError(
-                "two outputs prescribe the same net",
+                "two signal outputs drive the same net",
                 where=f"{name}.pins.{pin}",
                 got=f"{name}.{pin} and {drivers[net]}",
-                expected="one output",
-                hint=f"join {name}.{pin} to another pin",
+                expected="one signal output in each net, and none on ground",
+                hint=f"connect {name}.{pin} to another net",
             )
         if terminal.signal_out:
             drivers[net] = f"{name}.{pin}"
@@ -498,9 +528,9 @@ def _require_ground(scene: Scene) -> None:
 def _choose_ground_pin(floating: Sequence[Pin], scene: Scene) -> Pin:
     """Choose the pin that an error suggests to connect to ground.
 
-    A reference pin, such as the pin ``ref`` of a netlist, comes first. If possible, the function
-    chooses a pin without a target on the net of the reference pin, because a pin can have only one
-    target.
+    A reference pin, such as the pin ``ref`` of a netlist, comes first. Among the pins on the net of
+    the reference pin, the function prefers a pin whose target, such as ``gnd``, is not set. A pin
+    can have only one target.
     """
     reference = (key for key in floating if scene.terminals[key].default == GROUND)
     chosen = next(reference, floating[-1])
@@ -523,7 +553,7 @@ class DisjointGroups:
         return self._groups[a] is self._groups[b]
 
     def join(self, a: Hashable, b: Hashable) -> None:
-        """Merge the groups of two members into one group."""
+        """Merge the group that contains ``a`` and the group that contains ``b``."""
         first, second = self._groups[a], self._groups[b]
         if first is not second:
             first += second
@@ -538,14 +568,20 @@ class DisjointGroups:
 
 
 def describe_nets(scene: Scene) -> tuple[str, ...]:
-    """Return one line of text for each net with several pins, and for ground."""
-    nets: dict[str, list[str]] = {}
-    for (part, pin), net in scene.nets.items():
-        nets.setdefault(net, []).append(f"{part}.{pin}")
+    """Return one line of text for each net with several pins, and for ground.
+
+    A line begins with the quantity that is equal on all pins of the net, or with ``gnd``.
+    """
+    nets: dict[str, list[tuple[str, str]]] = {}
+    for end, net in scene.nets.items():
+        nets.setdefault(net, []).append(end)
     lines = []
-    for net, pins in nets.items():
+    for net, ends in nets.items():
+        pins = ", ".join(map(".".join, ends))
         if net == "0":
-            lines.append("gnd: " + ", ".join(pins))
-        elif len(pins) > 1:
-            lines.append(" -- ".join(pins))
+            lines.append(f"gnd: {pins}")
+        elif len(ends) > 1:
+            quantity = find_across_quantity(scene.terminals[ends[0]].unit)
+            name = "signal" if quantity is None else quantity.name.replace("_", " ")
+            lines.append(f"{name}: {pins}")
     return tuple(lines)

@@ -104,6 +104,14 @@ _OTHER_SEPARATOR = re.compile(r"([A-Za-z_][\w.\[\]]*)\s*[:\s]\s*([^=:\s][^=]*)")
 def _parse_override(text: str, example: Callable[[str], str]) -> tuple[str, Any]:
     """Return the key and the value of a string ``dotted.key=value``."""
     name, _, value = map(str.strip, text.partition("="))
+    if "=" not in text and Path(name).is_file():
+        raise UsageError(
+            "this file is not a TOML file of keys",
+            where="--set",
+            got=repr(clip_text(text)),
+            expected="KEY=VALUE, or a TOML file of keys",
+            hint=f"write KEY=VALUE in place of {clip_text(name)}, or leave out --set",
+        )
     if not name or not value:
         advice = example(clip_text(name)) if name else f"KEY={clip_text(value) or 'VALUE'}"
         if separated := _OTHER_SEPARATOR.fullmatch(clip_text(text.strip())):

@@ -6,7 +6,7 @@ A value outside of its plausible range probably has a wrong unit.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,7 +15,9 @@ from pydantic import BaseModel
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import (
     PLAUSIBLE_MASS,
+    USUAL_Q_FACTOR,
     USUAL_RESULTS,
+    USUAL_SOLID_DENSITY,
     PlausibleRange,
     UsualRange,
 )
@@ -47,7 +49,11 @@ BREAKDOWN_RATIO = 10.0
 MISTAKEN_UNIT_RATIO = 2.0
 LOWEST_DRIVE_RATIO = 1e-4  # ratio of voltage to rated voltage below which the check warns
 _MICRO_UNITS = ("F", "H")  # units in which the prefix mega is rare
-_ALTERNATIVE_UNITS = {"m": {"mm": 1e-3, "um": 1e-6}, "kg": {"g": 1e-3, "mg": 1e-6, "ug": 1e-9}}
+_ALTERNATIVE_UNITS = {
+    "m": {"mm": 1e-3, "um": 1e-6},
+    "kg": {"g": 1e-3, "mg": 1e-6, "ug": 1e-9},
+    "kg/m3": {"g/cm3": 1e3},
+}
 # usual units of values that were probably typed without a unit
 _USUAL_UNITS = _ALTERNATIVE_UNITS | {
     "m2": {"cm2": 1e-4, "mm2": 1e-6},
@@ -125,6 +131,10 @@ def check_plausible_values(where: str, keys: BaseModel) -> Iterator[UsageError]:
         yield from _check_value(f"{where}.{name}".lstrip("."), *ranges, getattr(keys, name))
 
 
+# usual ranges of constants in the table of a material
+_USUAL_CONSTANTS = {"density": USUAL_SOLID_DENSITY, "quality": USUAL_Q_FACTOR}
+
+
 def _check_value(
     where: str, plausible: PlausibleRange | None, usual: UsualRange | None, value: Any
 ) -> Iterator[UsageError]:
@@ -134,6 +144,11 @@ def _check_value(
     """
     if isinstance(value, BaseModel):
         yield from check_plausible_values(where, value)
+    elif isinstance(value, Mapping):  # table of material constants, as typed
+        for name, item in value.items():
+            inner = _USUAL_CONSTANTS.get(name)
+            number = float(item) if isinstance(item, int) else item
+            yield from _check_value(f"{where}.{name}", None, inner, number)
     elif isinstance(value, tuple):
         for k, item in enumerate(value):
             yield from _check_value(f"{where}.{k}", plausible, usual, item)

@@ -8,11 +8,11 @@ from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from importlib import resources
 from importlib.resources.abc import Traversable
-from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
 from kc2spice.core.errors import UsageError, did_you_mean, list_candidates
+from kc2spice.core.files import find_similar_name
 from kc2spice.core.schemas import join_path
 from kc2spice.core.toml_errors import parse_toml_file
 from kc2spice.core.untrusted_files import (
@@ -27,6 +27,9 @@ from kc2spice.scene.catalogue import find_part, read_catalogue
 INCLUDE = "include"  # key of a scene for netlist files that its parts use
 # Keys whose value is the name of a file, in the tables of all part types.
 _FILE_KEYS = frozenset({"file", "mesh", "sidecar", INCLUDE})
+MAX_HEAD_LENGTH = 1000  # number of characters of a netlist within which its scene is named
+_EXPORTED_FROM = re.compile(r"(?m)^\* scene: (\S+) hash=")
+_ANALYSIS_CARD = re.compile(r"(?im)^\.(tran|ac|dc|op|noise)\b")
 
 
 def list_gallery() -> dict[str, Traversable]:
@@ -41,8 +44,8 @@ class SceneFile:
     """Text of a scene file, overrides of its keys, and methods that locate keys.
 
     If an override sets a scene key to a file name, ``override_folders`` contains the folder to
-    which the file name is relative. ``override_folders`` is indexed by scene keys, each as a tuple
-    of names.
+    which the file name is relative. In ``override_folders``, a scene key such as ``body.file`` is
+    the tuple ``("body", "file")``.
     """
 
     label: str
@@ -68,7 +71,7 @@ class SceneFile:
     def set_override(
         self, path: tuple[str, ...], value: object, origin: str, folder: Path | None
     ) -> None:
-        """Record an override, with the folder of the files that it names.
+        """Record an override, and the folder to which its relative file names refer.
 
         ``folder`` is the folder of the override file, or None for an override without a file.
         """
@@ -121,7 +124,8 @@ def open_scene(name_or_path: str | Path) -> SceneFile:
 
     Raises
     ------
-    UsageError : the scene or the file does not exist, or the file is not text.
+    UsageError : the scene or the file does not exist, the file is not text, or the file is an
+        exported deck.
     """
     scenes, name = list_gallery(), str(name_or_path)
     if not name:
@@ -156,9 +160,38 @@ def open_scene(name_or_path: str | Path) -> SceneFile:
             where=name,
             hint=f"check the permissions and the size of {name}",
         ) from None
+    _reject_deck(text, path, scenes)
     # Path() means that the path of the file contains no folder
     folder = Path.cwd() if path.parent == Path() else path.parent
     return SceneFile(name, path.stem, text, folder)
+
+
+def _reject_deck(text: str, path: Path, scenes: Collection[str]) -> None:
+    """Reject a deck that kc2spice has exported, and propose to run it with its scene.
+
+    Raises
+    ------
+    UsageError : the file is an exported deck. The libraries of parts contain no analysis.
+    """
+    match = _EXPORTED_FROM.search(text[:MAX_HEAD_LENGTH]) if text.startswith("* ") else None
+    if match is None or not _ANALYSIS_CARD.search(text):
+        return
+    name = match[1]
+    numbers = {part.scene_name: part.number for part in read_catalogue().values()}
+    files = [
+        file for file in (Path(f"{name}.toml"), path.with_name(f"{name}.toml")) if file.is_file()
+    ]
+    known = [name] if name in scenes else [numbers[name]] if name in numbers else files
+    scene = known[0] if known else "SCENE"
+    hint = f"kc2spice run {scene} --deck {path}  runs the scene with this deck"
+    if not known:
+        hint += f"; SCENE is the TOML file of the scene {name}"
+    raise UsageError(
+        f"this file is the exported deck of the scene {name}, not a scene",
+        where=str(path),
+        expected="a TOML file with a table for each part",
+        hint=hint,
+    )
 
 
 def _make_missing_file_error(name: str, path: Path, scenes: Collection[str]) -> UsageError:
@@ -173,11 +206,12 @@ def _make_missing_file_error(name: str, path: Path, scenes: Collection[str]) -> 
         with contextlib.suppress(OSError, ValueError):
             if Path(f"{path.stem}.toml").is_file():
                 near = f"did you mean '{path.stem}.toml'?"
-        hint = near or f"{listing}, kc2spice parts the part numbers"
+        hint = near or f"{listing}; kc2spice parts lists the part numbers"
         return UsageError("this scene does not exist", got=repr(name), expected=expected, hint=hint)
     with contextlib.suppress(OSError):
-        stems = map(attrgetter("stem"), path.parent.glob("*.toml"))
-        listing = did_you_mean(path.stem, stems) or listing
+        files = sorted(file.name for file in path.parent.glob("*.toml"))
+        if similar := find_similar_name(path, files):
+            listing = f"did you mean '{path.with_name(similar)}'?"
         if path.stem in scenes and len(path.parts) == 1:
             listing = f"write {path.stem} for the built-in scene"
     message = "this path is a directory" if path.is_dir() else "this file does not exist"

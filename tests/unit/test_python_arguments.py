@@ -1,5 +1,7 @@
 """Wrong arguments of Python calls raise errors whose advice works, and none is ignored."""
 
+import inspect
+import pickle
 from pathlib import Path
 
 import numpy as np
@@ -229,3 +231,39 @@ def test_the_data_of_a_fit_are_a_file_or_a_list_of_tables(measured):
     assert fails(kc.fit, disc(), "disc", "disc.csv", ["damping.quality"], out=3).where == "out"
     for data in (3, None, ["disc.csv"], {"file": "disc.csv"}):
         assert fails(kc.fit, disc(), "disc", data, ["damping.quality"]).where == "data"
+
+
+@pytest.mark.parametrize(
+    ("call", "head", "advice"),
+    [
+        (lambda: kc.run(LAMP, resistance=3), "run: this argument does not exist",
+         'overrides={"PART.resistance": 3}'),
+        (lambda: kc.run(LAMP, overides={}), "run: this argument does not exist",
+         "did you mean 'overrides'?"),
+        (lambda: kc.run(LAMP, "out", "own.cir"), "too many arguments", "NAME=VALUE for deck"),
+        (lambda: kc.run(LAMP, scene=LAMP), "run: this argument is given twice", "delete scene="),
+        (lambda: kc.fit("own.toml", "own.csv", vary=["x"]), "fit: the argument data is missing",
+         "write  fit(scene, part, data, vary)"),
+    ],
+)  # fmt: skip
+def test_wrong_arguments_of_a_call_raise_errors_with_advice(call, head, advice):
+    with pytest.raises(TypeError) as caught:
+        call()
+    assert isinstance(caught.value, kc.errors.UsageError)
+    assert head in str(caught.value)
+    assert advice in caught.value.hint
+
+
+def test_all_public_functions_reject_unknown_arguments_with_advice():
+    for name in kc.__all__:
+        function = getattr(kc, name)
+        if inspect.isfunction(function) and not name.startswith("register"):
+            with pytest.raises(kc.errors.ArgumentError, match="does not exist"):
+                function(unknown_argument=1)
+            assert pickle.loads(pickle.dumps(function)) is function
+
+
+def test_a_warning_about_an_override_names_the_line_of_the_call():
+    with pytest.warns(UserWarning, match="replaces it") as found:
+        kc.load_scene(LAMP, [f"{KEY}=3", f"{KEY}=4"])
+    assert found[0].filename == __file__

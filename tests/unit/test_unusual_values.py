@@ -1,6 +1,7 @@
 """Values and results with a probable mistake: a run accepts them, and prints a warning."""
 
 import math
+import re
 import warnings
 from pathlib import Path
 
@@ -96,6 +97,53 @@ def test_an_element_whose_value_lacks_its_unit_causes_a_warning(part, key, value
     assert f'did you mean "{meant}"?' in found
     assert not load(tables, **{f"load.{key}": meant})
     assert not load(tables, checks__plausible="off")
+
+
+def test_the_density_of_a_solid_without_its_unit_causes_a_warning():
+    die = {"density": 2.33, "conductivity": 148.0, "specific_heat": 712.0}
+    rubber = {"density": 1, "youngs_modulus": "5 MPa", "poisson_ratio": 0.4, "conductor": True}
+    for tables, key, typed in (
+        ("impact", "sphere.density", 7.85),
+        (HEATER, "die.layers[0].material", die),
+        (BUZZER, "disc.layers[0].material", rubber),
+    ):
+        number = typed["density"] if isinstance(typed, dict) else typed
+        (found,) = list_warnings(kc.load_scene, tables, {key: typed})[0]
+        assert f'did you mean "{number} g/cm3"?' in found
+        meant = f"{number} g/cm3"
+        meant = typed | {"density": meant} if isinstance(typed, dict) else meant
+        assert not list_warnings(kc.load_scene, tables, {key: meant})[0]
+
+
+@pytest.mark.parametrize(
+    ("density", "speed", "warns"),
+    [(1.0, 1480, True), (1.84, 653, False), (0.998, 1482, True), (0.166, 1007, False),
+     ("1 g/cm3", 1480, False), (998.0, 1482, False), (1.2, 343, False)],
+)  # fmt: skip
+def test_the_density_of_a_liquid_without_its_unit_causes_a_warning(density, speed, warns):
+    """Helium has 0.166 kg/m3 and 1007 m/s, water 998 kg/m3 and 1482 m/s at 20 degrees Celsius."""
+    tables = {
+        "pump": {"part": "source", "kind": "volume_velocity", "ac": "1 cm3/s"},
+        "bottle": {
+            "part": "cavity",
+            "volume": "1 l",
+            "fluid": {"density": density, "sound_speed": speed},
+            "pins": {"a": "pump.out"},
+        },
+        "analysis": {"type": "ac", "start": "1 Hz", "stop": "10 Hz"},
+    }
+    found = list_warnings(kc.load_scene, tables)[0]
+    assert [f'did you mean "{density:g} g/cm3"?' in text for text in found] == [True] * warns
+
+
+def test_the_density_of_a_light_solid_without_its_unit_is_rejected_with_the_unit():
+    error = fails(kc.load_scene, "impact", {"sphere.density": 0.5})
+    advised = re.match(r'did you mean "(.*)"\?', error.hint)[1]
+    assert advised == "500 kg/m³"
+    kc.load_scene("impact", {"sphere.density": advised})
+    error = fails(kc.load_scene, "impact", {"sphere.density": 78500})
+    assert error.hint.startswith("lower the value to 22600 kg/m³")
+    kc.load_scene("impact", {"sphere.density": "22600 kg/m³"})
 
 
 def test_a_large_stiffness_causes_a_warning():
@@ -210,3 +258,90 @@ def test_a_relative_tolerance_below_the_rounding_errors_is_an_error(cli):
     assert found.exit_code == 2
     assert "raise solver.reltol to 1e-12" in found.stderr
     assert cli("run", "my.toml", "--set", "solver.reltol=1e-12").exit_code == 0
+
+
+@pytest.mark.parametrize("kind", ["transient", "op"])
+def test_a_division_by_zero_in_a_netlist_causes_a_warning_with_the_node(kind, tmp_path):
+    """A quotient by a difference that is always zero is far above 1e15 V; a small one is not."""
+    circuit = (
+        "* quotient\n.subckt div in out ref\n"
+        "B1 out ref V=V(in,ref)/(V(in,ref)-V(in,ref)+OFFSET)\n.ends\n"
+    )
+    library = tmp_path / "div.lib"
+    library.write_text(circuit.replace("OFFSET", "0"))
+    scene = tmp_path / "div.toml"
+    scene.write_text(
+        f"""
+[drive]
+part = "source"
+dc = 1.0
+[div]
+part = "netlist"
+file = "div.lib"
+subckt = "div"
+pins = {{ in = "drive.out", out = "load.a", ref = "gnd" }}
+[load]
+part = "resistor"
+resistance = "1 kOhm"
+[analysis]
+type = "{kind}"
+{'stop = "1 ms"' if kind == "transient" else ""}
+"""
+    )
+    found, result = list_warnings(kc.run, scene)
+    checks = {check.name: check for check in result.checks}
+    assert checks["usual range of load.v"].value > 1e15
+    assert any("usual range of load.v" in text and "division by zero" in text for text in found)
+    library.write_text(circuit.replace("OFFSET", "1e-12"))
+    assert not list_warnings(kc.run, scene)[0]
+
+
+def test_a_q_factor_of_a_weakly_driven_mode_causes_a_warning():
+    """A voltage hardly bends a thick ceramic on a foil, but drives its radial mode.
+
+    With viscous damping, the Q factor falls as 1 / f. The proposed key gives the stated Q factor to
+    the radial mode, as the impedance shows.
+    """
+    layers = [
+        {"material": "brass", "diameter": "20 mm", "thickness": "0.02 mm"},
+        {"material": "PZT-5A", "diameter": "20 mm", "thickness": "1 mm"},
+    ]
+    tables = {
+        "drive": {"part": "source", "ac": 1.0},
+        "disc": {"part": "disc", "layers": layers, "damping": {"quality": 50},
+                 "pins": {"anode": "drive.out"}},
+        "analysis": {"type": "ac", "start": "1 kHz", "stop": "200 kHz"},
+    }  # fmt: skip
+    for band in ({}, {"analysis.start": "50 kHz"}):
+        found, result = list_warnings(kc.run, tables, overrides=band)
+        (text,) = (text for text in found if "damping of disc" in text)
+        (check,) = (check for check in result.checks if check.name == "damping of disc")
+        bending = result.metrics["resonance_hz"] / check.value
+        assert f"disc.damping.quality applies to the mode at {bending / 1e3:.1f}" in text
+        assert result.metrics["quality"] == pytest.approx(50 / check.value, rel=0.03)
+        key, value = re.search(r'set (\S+) = "(.+?)"', text).groups()
+        found, result = list_warnings(kc.run, tables, overrides={**band, key: value})
+        assert not any("damping of disc" in text for text in found)
+        assert result.metrics["quality"] == pytest.approx(50, rel=0.03)
+    for keys in (
+        {"analysis.stop": "30 kHz"},
+        {"disc.damping": {"model": "ieee176", "quality": 50}},
+    ):
+        found, _ = list_warnings(kc.run, tables, overrides=keys)
+        assert not any("damping of disc" in text for text in found)
+
+
+@pytest.mark.parametrize(
+    ("damping", "words"),
+    [
+        ({"quality": 5e7}, "disc.damping.quality: 5e+07 is larger than usual"),
+        ({"loss_factor": 1e-8}, "disc.damping.loss_factor: 1e-08 is smaller than usual"),
+        ({"ratio": 1e-8}, "disc.damping.ratio: 1e-08 is smaller than usual"),
+        ({"quality": 9e5}, None),
+    ],
+)
+def test_an_unusual_q_factor_causes_a_warning(damping, words):
+    tables = {**BUZZER, "disc": {**BUZZER["disc"], "damping": damping}}
+    found = [text for text in list_warnings(kc.load_scene, tables)[0] if "usual" in text]
+    assert len(found) == (words is not None)
+    assert words is None or words in found[0]

@@ -24,8 +24,10 @@ from kc2spice.bodies.readers.matrix_model_parameters import (
     make_model_parameter,
     make_term,
 )
+from kc2spice.bodies.readers.measured_admittance import TABLE_SUFFIXES
 from kc2spice.bodies.readers.mesh import read_nodes
 from kc2spice.bodies.readers.sidecar import Sidecar, TermEntry, read_sidecar
+from kc2spice.core.argument_and_option_names import check_arguments
 from kc2spice.core.errors import UsageError, wrong
 from kc2spice.rom.affine import AffineModel, AffineTerm, sum_affine_terms
 from kc2spice.rom.io import MARKET_BANNER, parse_matrix_market, parse_numbers
@@ -42,6 +44,7 @@ or .op4 (Nastran); .full (Ansys); or a TOML file that names the files"""
 SIDECAR_KEYS = _sidecar.__doc__ or ""
 
 
+@check_arguments
 def read_model(path: Path | str, sidecar: Path | str | None = None) -> LinearModel:
     """Read matrices from another finite-element program as a linear model with ports.
 
@@ -91,6 +94,7 @@ def read_model(path: Path | str, sidecar: Path | str | None = None) -> LinearMod
     return model.model if isinstance(model, AffineModel) else model
 
 
+@check_arguments
 def read_affine_model(path: Path | str, sidecar: Path | str | None = None) -> AffineModel | None:
     """Read an affine model, whose matrices are sums with parameter-dependent factors.
 
@@ -287,6 +291,7 @@ def measure_mesh_extent(path: Path, sidecar: Path | None) -> np.ndarray | None:
 
 # file extensions that may follow NAME.K or NAME_K
 _MATRIX_SUFFIXES = ("", ".mtx", ".mm", ".txt", ".matrix", ".hb", ".rsa", ".rua")
+_LETTER_SUFFIXES = tuple(f".{letter}" for letter in raw_matrices.LETTERS)  # of NAME.K and others
 _MATRIX_FILE = re.compile(r"(.+)([._])([MEKABCD])(\.(?:mtx|mm|txt|matrix|hb|rsa|rua))?")
 # Key of a file that contains all matrices, in a dictionary of files.
 # A file of a single matrix has the letter of the matrix, such as K, as its key.
@@ -434,7 +439,9 @@ def _read_files(
     if not raw_matrices.is_file(path) or suffix == ".toml":
         if not raw_matrices.is_file(path) and suffix:
             raise raw_matrices.make_missing_error(
-                path, "a model: kc2spice reduce --help lists the kinds of files"
+                path,
+                "a model: kc2spice reduce --help lists the kinds of files",
+                (*READERS, *_LETTER_SUFFIXES, *_MATRIX_SUFFIXES[1:], *TABLE_SUFFIXES),
             )
         if path.is_dir():
             raise wrong(

@@ -160,6 +160,7 @@ def _find_table_response(table: TextTable, shunt: float | None, suffix: str) -> 
         return combine_response(titles, table.numbers, shunt, notes)
     if table.titles is not None:
         return combine_response(table.titles, table.numbers, shunt, table.notes)
+    _require_two_value_columns(table.numbers, table.header)
     if table.header:
         raise ValueError(
             f"the header {table.header[:MAX_HEADER_LENGTH]!r} does not contain {width} titles, "
@@ -194,7 +195,7 @@ def _replace_titles(titles: Sequence[str], comments: Sequence[str]) -> tuple[str
 
 @dataclass(frozen=True, eq=False)
 class _ColumnPair(EqualByContent):
-    """Pair of columns, and the frequency response that both determine."""
+    """Two columns, such as magnitude and phase, and the response computed from them."""
 
     combination: ColumnCombination
     columns: tuple[Column, ...]
@@ -242,6 +243,8 @@ def combine_response(
             f"the table has {len(titles)} titles above {len(numbers)} columns of numbers"
         )
     columns = classify_columns(titles, numbers)
+    if set(columns.by_quantity) <= {"f"} and not columns.problems:
+        _require_two_value_columns(numbers, ", ".join(map(str.strip, titles)))
     _require_complete(titles, columns, shunt)
     frequency = _select_agreeing_column("f", columns.by_quantity["f"])
     f = frequency.values
@@ -315,6 +318,22 @@ def classify_columns(titles: Sequence[str], numbers: Sequence[np.ndarray]) -> Cl
         else:
             result.by_quantity.setdefault(column.title.meaning.quantity, []).append(column)
     return result
+
+
+def _require_two_value_columns(numbers: Sequence[np.ndarray], header: str) -> None:
+    """Reject a table with a frequency and only one column of real values.
+
+    Raises
+    ------
+    UsageError : the table has two columns of real numbers.
+    """
+    if len(numbers) == 2 and not any(map(np.iscomplexobj, numbers)):
+        raise UsageError(
+            "this table contains only one column of values, and an impedance needs two",
+            got=f"2 columns: {header[:MAX_HEADER_LENGTH] or 'without titles'}",
+            expected="a frequency and two columns of impedance, admittance or reflection",
+            hint="export the table again with a second column: the phase or the imaginary part",
+        )
 
 
 def _require_complete(

@@ -63,7 +63,7 @@ def assemble_model(rows: LabelledMatrices) -> LinearModel:
     rows = replace(rows, matrices=rows.convert_to_si())
     if any(entry.kind == ELECTRICAL.port and entry.selects_nodes for entry in rows.sidecar.ports):
         return _assemble_piezoelectric(rows)
-    return _assemble_mechanical(rows)
+    return _assemble_without_electrodes(rows)
 
 
 def _rename_damping_matrix(rows: LabelledMatrices) -> Mapping[str, Matrix]:
@@ -242,10 +242,13 @@ class LabelledMatrices:
         """Number of rows of the square matrices."""
         return int(self.matrices["K" if "K" in self.matrices else "A"].shape[0])
 
-    def get_row_dofs(self, where: str) -> Dofs:
+    def get_row_dofs(
+        self, where: str, remedy: str = "replace the nodes of a port by  column = 1"
+    ) -> Dofs:
         """Return the node and the degree of freedom of each matrix row.
 
-        ``where`` is the table of the TOML file that needs the nodes, for error messages.
+        ``where`` is the table of the TOML file that needs the nodes, for error messages. ``remedy``
+        is a change of the TOML file after which the nodes are not needed.
         """
         dofs = self.raw.dofs
         if dofs is None:
@@ -253,10 +256,7 @@ class LabelledMatrices:
                 "no file states the node and the degree of freedom of each matrix row",
                 where=where,
                 expected="a file with a line  node,dof  for each matrix row",
-                hint=(
-                    'add  dofs = "rows.csv"  to the TOML file, or replace the nodes of a port by  '
-                    "column = 1"
-                ),
+                hint=f'add  dofs = "rows.csv"  to the TOML file, or {remedy}',
             )
         if len(dofs) != self.size:
             raise wrong(
@@ -328,8 +328,10 @@ class LabelledMatrices:
         length, force = LENGTH_UNITS[settings.length], FORCE_UNITS[settings.force]
         if length == force == 1:
             return self.matrices
-        where = f"{settings.file_path}: length"
-        kind = self.get_row_dofs(where).kind
+        keys = [name for name in ("length", "force") if name in settings.model_fields_set]
+        where = f"{settings.file_path}: {keys[0]}"
+        remedy = f"delete {' and '.join(keys)} if the matrices are in metres and newtons"
+        kind = self.get_row_dofs(where, remedy).kind
         strange = np.setdiff1d(kind, TRANSLATIONS + ROTATIONS)
         if strange.size or "A" in self.matrices or "B" in self.matrices:
             raise UsageError(
@@ -479,8 +481,8 @@ class LabelledMatrices:
         )
 
 
-def _assemble_mechanical(rows: LabelledMatrices) -> LinearModel:
-    """Assemble a linear model in which no electrical port is defined by mesh nodes.
+def _assemble_without_electrodes(rows: LabelledMatrices) -> LinearModel:
+    """Assemble a linear model without electrodes: no electrical port has mesh nodes.
 
     The damping in the TOML file is added.
     """

@@ -198,7 +198,7 @@ def read_measured(path: Path, shunt: float | None = None) -> MeasuredAdmittance:
         advice = "export the file again as Touchstone"
 
     if not is_file(path):
-        raise make_missing_error(path, expected)
+        raise make_missing_error(path, expected, () if match else TABLE_SUFFIXES)
 
     def read() -> MeasuredResponse:
         """Read the response with the parser of the file's format."""

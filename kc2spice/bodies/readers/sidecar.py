@@ -529,7 +529,7 @@ def read_sidecar(path: Path) -> Sidecar:
     expected = f"a TOML file of at most {MAX_TEXT_BYTES} bytes"
     require_file(path, expected, (".toml",))
     text = call_reader(path, expected, lambda: decode_text(read_bounded(path, MAX_TEXT_BYTES)))
-    data = parse_toml_file(text, str(path))
+    data = parse_toml_file(text, str(path), ("ports", "fixed", "terms"))
     parts = [name for name, table in data.items() if isinstance(table, dict) and "part" in table]
     if parts:
         raise UsageError(

@@ -61,6 +61,15 @@ MAX_HEADER_LENGTH = 80  # largest number of characters of a header that an error
 MAX_PHASE_DEGREES = 180.0  # largest magnitude of a phase [degrees]
 
 
+class EmptyFileError(ValueError):
+    """Error for a file without any text.
+
+    ``advice`` is the hint of the error message.
+    """
+
+    advice = "export the measurement again"
+
+
 class ShortTableError(ValueError):
     """Error for a text that has too few rows of numbers to form a table.
 
@@ -143,7 +152,7 @@ def read_tables(text: str) -> list[TextTable]:
     if not runs:
         first = next(filter(None, map(str.strip, lines)), "")
         if not first:
-            raise ValueError("the file is empty")
+            raise EmptyFileError("the file is empty")
         place = f" below the first line {first[:40]!r}"
         problem = "there are too few rows of numbers"
         raise ShortTableError(f"{problem}{place}{_describe_non_number(lines)}")

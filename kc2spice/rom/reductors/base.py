@@ -100,9 +100,11 @@ def describe_errors_in_method(reductor: Reductor) -> Iterator[None]:
         raise
     except Exception as error:
         # the third frame, below this function and the ``with`` block, is that of the user
-        own = traceback.extract_tb(error.__traceback__)[2:3]
-        name = own[0].name if own else "the class"
-        place = f"line {own[0].lineno} of {own[0].filename}" if own else type(reductor).__name__
+        frames = traceback.extract_tb(error.__traceback__)[2:3]
+        name = frames[0].name if frames else "the class"
+        place = type(reductor).__name__
+        if frames:
+            place = f"line {frames[0].lineno} of {frames[0].filename}"
         raise UsageError(
             f"{name} of this reduction method raises {type(error).__name__}: {error}",
             where=f"method {reductor.name!r}",

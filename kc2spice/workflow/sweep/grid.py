@@ -19,7 +19,8 @@ import numpy as np
 
 from kc2spice.core.errors import UsageError, did_you_mean, list_candidates
 from kc2spice.core.quantities import convert_quantity
-from kc2spice.core.units import NUMBER_WITH_UNIT
+from kc2spice.core.unit_spelling import find_range_ends
+from kc2spice.core.units import NUMBER_WITH_UNIT, parse_unit
 from kc2spice.scene.keys import KeyDescription
 from kc2spice.scene.overrides import parse_override_value
 
@@ -66,9 +67,6 @@ class RandomSample:
 # --- one range ------------------------------------------------------------------------------------
 
 
-_DOTTED_RANGE = re.compile(r"(\d[^.…]*(?:\.\d[^.…]*)?)\s*(?:\.\.+|…| to )\s*([-+]?\d.*)")
-
-
 def _make_zero_crossing_error(text: str) -> UsageError:
     """Return the error about a logarithmic range that begins at, ends at or crosses 0."""
     return UsageError(
@@ -84,7 +82,8 @@ def split_range(text: str) -> tuple[str, list[str]]:
     """Return the kind of a range, and its fields as strings.
 
     The kinds are ``value``, ``list``, ``linear``, ``log``, ``normal`` and ``uniform``. For every
-    kind of range, the scene can be loaded with the first field as the value of the swept key.
+    kind of range, the first field is a possible value of the swept key, such as the mean of a
+    normal distribution.
 
     Raises
     ------
@@ -123,13 +122,13 @@ def split_range(text: str) -> tuple[str, list[str]]:
         if kind == "log" and any(map(_ZERO_NUMBER.match, words[:2])):
             raise _make_zero_crossing_error(text)
         return kind, words
-    if ends := _DOTTED_RANGE.fullmatch(text):
+    if ends := find_range_ends(text, hyphen=False):
         raise UsageError(
             "this string is neither a value, nor a list of values, nor a range",
             where="--set",
             got=repr(text),
             expected="a value, a list VALUE,VALUE or a range FIRST:LAST:POINTS",
-            hint=f"write {ends[1]}:{ends[2]}:5",
+            hint=f"write {':'.join(ends)}:5",
         )
     words = _split_words(text, ",")
     return ("list", words) if len(words) > 1 else ("value", words)
@@ -165,7 +164,7 @@ def _require_comma_separators(text: str) -> None:
     words = _split_words(text, ";")
     if len(words) > 1 and all(map(NUMBER_WITH_UNIT.fullmatch, words)):
         raise UsageError(
-            "the values of a list are separated by semicolons",
+            "this list has semicolons between its values, instead of commas",
             where="--set",
             got=text,
             expected="a list VALUE,VALUE with commas",
@@ -188,25 +187,34 @@ def require_equal_unit_use(words: Sequence[str], text: str, where: str, si_unit:
 
 
 def _find_unequal_unit_use(
-    words: Sequence[str], text: str, where: str, si_unit: str
+    words: Sequence[str], text: str, where: str, si_unit: str, *, is_list: bool = False
 ) -> UsageError | None:
-    """Return the error about numbers of which only some have a unit, or None.
+    """Find unequal use of units: return an error if only some numbers have a unit.
 
-    A number without a unit is in the SI unit, so ``10 mg:30`` would be 10 mg to 30 kg. The
-    arguments are defined in :func:`require_equal_unit_use`.
+    The function returns None if it finds no error. A number without a unit is in the SI unit, so
+    ``10 mg:30`` would be 10 mg to 30 kg. The hint repeats the typed unit, unless only the SI unit
+    gives increasing values: ``100:1 kOhm`` probably means 100 Ohm to 1 kOhm. The values of a list
+    (``is_list``) have no order. The other arguments are defined in :func:`require_equal_unit_use`.
     """
     numbers = list(map(NUMBER_WITH_UNIT.fullmatch, words))
     units = [number[2] for number in numbers if number and float(number[1])]
     if all(units) or not any(units):
         return None
     with_unit = next(number for number in numbers if number and number[2])
-    unit = with_unit[0][with_unit.end(1) :]  # with the blank before the unit, if there is one
+    dimension, required = parse_unit(with_unit[2]), parse_unit(si_unit)
+    if dimension is None or required is None or dimension[1:] != required[1:]:
+        return None  # the error about the wrong unit follows
+    # the typed unit, with the blank before the unit if there is one
+    unit = with_unit[0][with_unit.end(1) :]
+    spellings = [f"{word}{unit}" if _lacks_unit(word) else word for word in words]
+    in_si = [f"{word} {si_unit}" if _lacks_unit(word) else word for word in words]
+    descending = text.startswith("normal")  # a mean is usually larger than its deviation
+    if si_unit and not is_list and not _are_sorted(spellings, si_unit, descending):
+        spellings = in_si if _are_sorted(in_si, si_unit, descending) else spellings
     advice, end = "", 0
-    for word, number in zip(words, numbers, strict=True):
+    for word, spelling in zip(words, spellings, strict=True):
         begin = text.index(word, end)
-        advice, end = advice + text[end:begin] + word, begin + len(word)
-        if number and float(number[1]) and not number[2]:
-            advice += unit
+        advice, end = advice + text[end:begin] + spelling, begin + len(word)
     plain = f"a number without a unit is in {si_unit}" if si_unit else "or plain numbers only"
     return UsageError(
         "only some of these values have a unit",
@@ -215,6 +223,21 @@ def _find_unequal_unit_use(
         expected=f"a unit at every value; {plain}",
         hint=f"write {advice}{text[end:]}",
     )
+
+
+def _lacks_unit(word: str) -> bool:
+    """Return whether a word is a nonzero number without a unit."""
+    number = NUMBER_WITH_UNIT.fullmatch(word)
+    return number is not None and not number[2] and float(number[1]) != 0
+
+
+def _are_sorted(words: Sequence[str], si_unit: str, descending: bool) -> bool:
+    """Return whether quantities increase, or with ``descending`` decrease."""
+    try:
+        values = [parse_value(word, si_unit, word) for word in words]
+    except UsageError:
+        return False
+    return values == sorted(values, reverse=descending)
 
 
 def _split_words(text: str, separator: str) -> list[str]:
@@ -261,11 +284,11 @@ def parse_range(name: str, text: str, keys: Mapping[str, KeyDescription]) -> Val
         if kind not in ("list", "value"):
             require_equal_unit_use(words[:2], text, where, key.unit)
         # a list may contain SI numbers beside values with a unit on purpose
-        elif problem := _find_unequal_unit_use(words, text, where, key.unit):
+        elif problem := _find_unequal_unit_use(words, text, where, key.unit, is_list=True):
             warnings.warn(
-                f"{where}: {problem.message}, and a number without a unit is "
-                f"{f'in {key.unit}' if key.unit else 'not in percent'}; {problem.hint} if all "
-                "values have the same unit",
+                f"{where}: {problem.message}; numbers without a unit are "
+                f"{f'in {key.unit}' if key.unit else 'not in percent'}; if all values have the "
+                f"same unit, {problem.hint}",
                 stacklevel=2,
             )
     if kind in ("list", "value"):
@@ -274,7 +297,9 @@ def parse_range(name: str, text: str, keys: Mapping[str, KeyDescription]) -> Val
         hint = f"write {name}=VALUE,VALUE" if not key.choices else (
             f"write {name}={','.join(map(str, key.choices[:2]))}"
         )  # fmt: skip
-        raise make_range_error("only keys with numbers have such a range", name, hint=hint)
+        raise make_range_error(
+            "this kind of range applies only to keys with numeric values", name, hint=hint
+        )
     elif len(words) != 3:
         raise make_range_error(
             f"{kind} takes three values", ", ".join(words), hint=f"write the three values of {kind}"

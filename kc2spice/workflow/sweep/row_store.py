@@ -15,7 +15,7 @@ from typing import Any
 from pydantic import TypeAdapter
 
 from kc2spice.core.errors import UsageError, unknown
-from kc2spice.core.files import open_folder_of_file
+from kc2spice.core.files import create_parent_folders
 from kc2spice.core.optional_libraries import import_optional
 from kc2spice.core.toml_text import format_toml
 from kc2spice.core.waveforms import quote_csv_cell
@@ -68,17 +68,17 @@ class RowStore:
         try:
             self._rows = sqlite3.connect(path, timeout=0.0, isolation_level=None)
         except sqlite3.Error as error:
-            raise self._unusable_file(error) from None
+            raise self._make_unusable_file_error(error) from None
         try:
-            self._read_rows(points, digest)
+            self._lock_and_read_rows(points, digest)
         except (sqlite3.Error, ValueError) as error:
             self.close()
-            raise self._unusable_file(error) from None
+            raise self._make_unusable_file_error(error) from None
         except BaseException:
             self.close()  # an open connection would lock the file against the next sweep
             raise
 
-    def _read_rows(self, points: int, digest: str) -> None:
+    def _lock_and_read_rows(self, points: int, digest: str) -> None:
         """Lock the file, and read its rows if they belong to the sweep with this ``digest``."""
         self._rows.executescript(_OPEN_STATEMENTS)
         (stored,) = self._rows.execute("select digest from sweep").fetchone() or (None,)
@@ -100,8 +100,8 @@ class RowStore:
                 )
             self._store_outcome(point, _OUTCOME_ADAPTER.validate_json(text, strict=True))
 
-    def _unusable_file(self, error: sqlite3.Error | ValueError) -> UsageError:
-        """Return the error for a file that SQLite or the reader of the rows rejects."""
+    def _make_unusable_file_error(self, error: sqlite3.Error | ValueError) -> UsageError:
+        """Return the error for an unusable file, which SQLite or the row reader rejects."""
         message = "this file is damaged, or is not the results file of this sweep"
         hint = "delete this file; the sweep then computes its points again"
         if "locked" in str(error):
@@ -222,7 +222,7 @@ def save_table(table: Mapping[str, Sequence[Any]], path: str | Path) -> Path:
         written.
     MissingToolError : the format is Parquet, and pyarrow is not installed.
     """
-    with open_folder_of_file(path) as file:
+    with create_parent_folders(path) as file:
         suffix = file.suffix.lower()
         if suffix in _OTHER_TABLE_FORMATS:
             raise UsageError(

@@ -11,9 +11,9 @@ import hashlib
 import json
 import shlex
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass
 from datetime import timedelta
 from functools import cached_property
@@ -172,10 +172,17 @@ def make_sweep(
         )
     # a swept key may also occur in a TOML file of fixed keys
     fixed = [text for text in fixed if text.partition("=")[0].strip() not in ranges]
-    # A swept key can create a part that the unchanged scene does not contain.
-    first = [f"{name}={word}" for name, word in firsts.items()]
-    with _name_range_in_errors(ranges, at_first_value=True):
-        keys = list_scene_keys(scene.load((*fixed, *first)))
+
+    def load_first_values(changed: Mapping[str, str]) -> Scene:
+        """Load the scene with the first value of each range, except for ``changed`` values."""
+        # A swept key can create a part that the unchanged scene does not contain.
+        return scene.load((*fixed, *(f"{k}={word}" for k, word in {**firsts, **changed}.items())))
+
+    with (
+        _name_range_in_errors(ranges, at_first_value=True),
+        _advise_negated_range(ranges, load_first_values),
+    ):
+        keys = list_scene_keys(load_first_values({}))
     parsed = {name: parse_range(name, value, keys) for name, value in ranges.items()}
     plan = make_plan(parsed, zipped=zipped, latin=latin, seed=seed)
     units = {key: find_swept_key(key, keys).unit or "" for key in plan.keys}
@@ -206,6 +213,34 @@ def _name_range_in_errors(
                     error.hint = _advise_normal_range(words)
                 else:
                     error.hint = f"write a range of values {error.expected}"
+        raise
+
+
+@contextmanager
+def _advise_negated_range(
+    ranges: Mapping[str, str], load: Callable[[Mapping[str, str]], object]
+) -> Iterator[None]:
+    """Advise the negated range if a key rejects its range, but accepts the negated values.
+
+    ``ranges`` are the ranges by key. ``load`` loads the scene with changed values of keys.
+    """
+    try:
+        yield
+    except UsageError as error:
+        for name, text in ranges.items():
+            kind, words = split_range(text)
+            ends = words if kind == "list" else words[:2]
+            rejected = (error.where or "").startswith(f"--set '{name}=")
+            if rejected and kind in ("list", "linear", "log") and not text.count("-"):
+                negated = [f"-{word}" for word in ends]
+                with suppress(UsageError):
+                    for word in negated:
+                        load({name: word})
+                    separator = "," if kind == "list" else ":"
+                    prefix = ["log"] if kind == "log" else []
+                    joined = separator.join((*prefix, *negated, *words[len(ends) :]))
+                    error.where = f"--set '{name}={text}'"
+                    error.hint = f"write --set {shlex.quote(f'{name}={joined}')}"
         raise
 
 
@@ -397,7 +432,7 @@ def run_points(
 def _complete_points(
     definition: Sweep, points: Iterable[int], workers: Workers, at_once: int | None = None
 ) -> Iterator[tuple[int, PointResult]]:
-    """Yield each point of a sweep with its result, as soon as the point ends.
+    """Complete all sweep points; yield each point and result as soon as its run ends.
 
     Each worker runs one point at a time.
 
