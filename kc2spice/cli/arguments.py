@@ -230,7 +230,7 @@ PARAMETERS = {
         metavar="OHM",
         help=(
             "Resistance of a measured one-port at zero frequency, such as '80 mOhm'; "
-            "'open' for a one-port without direct current. Default: extrapolation from "
+            "'open' for a one-port without a DC path. Default: extrapolation from "
             "the lowest frequencies."
         ),
     ),
@@ -258,8 +258,9 @@ PARAMETERS = {
     "vary": typer.Option(
         metavar="KEY[=LOW:HIGH]",
         help=(
-            "Key that the command fits, and the range of its value in SI units or with "
-            "units, such as damping.quality=10:200. Default range: 1/1.3 to 1.3 times the value "
+            "Key that the command fits, and the range of its value, such as "
+            "damping.quality=10:200. Numbers without a unit are in SI units. "
+            "Default range: 1/1.3 to 1.3 times the value "
             "in the scene; for losses, a tenth to ten times the value in the scene. Repeatable."
         ),
     ),

@@ -9,12 +9,14 @@ import ctypes
 import ctypes.util
 import importlib.metadata
 import os
+import platform
 import sys
 import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from kc2spice.core import __version__
 from kc2spice.core.cache import find_cache_dir
 from kc2spice.core.errors import Kc2spiceError, MissingToolError
 from kc2spice.core.install_commands import make_install_command
@@ -56,7 +58,7 @@ R1 out 0 1
 """
 # Name of the feature, test deck, vectors, expected last value of each vector, and remedy.
 _FEATURE_TESTS = (
-    ("ngspice runs our netlists", _FEATURE_DECK, ("v(out)", "@b1[i]"), 4.0,
+    ("ngspice runs a test netlist", _FEATURE_DECK, ("v(out)", "@b1[i]"), 4.0,
      "install a complete ngspice, version 39 or later"),
     ("XSPICE code models", _XSPICE_DECK, ("v(out)",), 2.0,
      "reinstall ngspice; its code models (*.cm) or its spinit file are missing"),
@@ -68,7 +70,7 @@ class InstallationFinding:
     """Result of one check of the installation, with the command that fixes a problem.
 
     ``fix`` is the command that corrects the problem, empty if the check passes. kc2spice cannot run
-    if a ``needed`` check fails.
+    if a ``needed`` check fails. ``package`` is true for a check of a Python package.
     """
 
     name: str
@@ -76,30 +78,38 @@ class InstallationFinding:
     state: str
     fix: str = ""
     needed: bool = True
+    package: bool = False
+
+
+def describe_program() -> str:
+    """Return the versions of kc2spice and Python, and the platform, for bug reports."""
+    python = platform.python_version()
+    return f"kc2spice {__version__} on Python {python}, {platform.system()} {platform.machine()}"
 
 
 def check_installation() -> Iterator[InstallationFinding]:
-    """Yield the result of each check of the installation, quick checks first."""
+    """Yield the result of each check of the installation, checks of ngspice first."""
+    yield from _check_ngspice()
+    name = ctypes.util.find_library("ngspice")
+    ok = name is not None and _can_load_library(name)
+    fix = "" if ok else make_install_command("libngspice0")
+    yield InstallationFinding("libngspice", ok, name or "not found", fix, needed=ok)
     version = ".".join(map(str, sys.version_info[:3]))
     yield InstallationFinding(
         "Python", sys.version_info >= (3, 11), version, "install Python 3.11 or newer"
     )
     for library in _PYTHON_PACKAGES:
         try:
-            yield InstallationFinding(library, True, importlib.metadata.version(library))
+            version = importlib.metadata.version(library)
+            yield InstallationFinding(library, True, version, package=True)
         except importlib.metadata.PackageNotFoundError:
             fix = f"{sys.executable} -m pip install {library}"
-            yield InstallationFinding(library, False, "not installed", fix)
+            yield InstallationFinding(library, False, "not installed", fix, package=True)
     if sys.platform == "linux":
         missing = [soname for soname in _GMSH_LIBRARIES if not _can_load_library(soname)]
-        result = "missing " + ", ".join(missing) if missing else f"{len(_GMSH_LIBRARIES)} found"
+        result = "missing " + ", ".join(missing) if missing else f"all {len(_GMSH_LIBRARIES)}"
         fix = make_install_command(*(_GMSH_LIBRARIES[item] for item in missing)) if missing else ""
         yield InstallationFinding("system libraries of gmsh", not missing, result, fix)
-    yield from _check_ngspice()
-    name = ctypes.util.find_library("ngspice")
-    ok = name is not None and _can_load_library(name)
-    fix = "" if ok else make_install_command("libngspice0")
-    yield InstallationFinding("libngspice", ok, name or "not found", fix, needed=ok)
     folder = find_cache_dir()
     existing = next(filter(os.path.exists, (folder, *folder.parents)))
     ok = os.path.isdir(existing) and os.access(existing, os.W_OK | os.X_OK)
@@ -136,7 +146,7 @@ def _check_ngspice() -> Iterator[InstallationFinding]:
                     waves = run_deck(deck, Path(folder), timeout=20)
                     ends = [float(abs(waves[vector][-1])) for vector in vectors]
                     ok = all(abs(end - expected) < 1e-6 for end in ends)
-                    outcome = "a test netlist runs" if ok else f"got {ends}"
+                    outcome = "passed" if ok else f"got {ends}"
                 except Kc2spiceError as error:
                     outcome = error.message
         yield InstallationFinding(name, ok, outcome, fix if missing is None else install, needed)

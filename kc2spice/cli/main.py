@@ -23,7 +23,6 @@ from kc2spice.cli.terminal_output import (
     INTERRUPTED_EXIT_CODE,
     PIPED_COLUMNS,
     OutputRecipient,
-    print_keys,
     print_table,
     print_tables,
     report_errors,
@@ -76,12 +75,15 @@ app = typer.Typer(
     cls=CheckedCommands,
     help="Turn finite-element models of transducers into SPICE subcircuits, and simulate them with "
     "their drive electronics.",
-    epilog="Exit codes: 0 success, 2 wrong usage or scene, 3 missing simulator or library, "
-    "4 error above its limit, 5 failed simulation.",
+    epilog="SCENE is a TOML file, the name of a built-in scene (kc2spice scenes), or a part number "
+    "(kc2spice parts). For a first simulation, type: kc2spice run buzzer_7bb_20_6\n\n"
+    "Exit codes: 0 success, 2 wrong usage or scene, 3 missing simulator or library, "
+    "4 an error exceeds its limit, 5 the simulation or one of its checks failed.",
     no_args_is_help=True,
     add_completion=True,
     pretty_exceptions_enable=False,
-    # The help text is plain, because rich takes as long to load as all other modules together.
+    # The help text is plain, because the library ``rich`` takes as long to load as all other
+    # modules together.
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
@@ -179,7 +181,7 @@ def _run(
     trust: bool = False,
     verbose: bool = False,
 ) -> None:
-    """Simulate SCENE and print its metrics.
+    """Simulate SCENE, check the result and print the metrics.
 
     Builds and reduces the models, writes the netlists, runs ngspice and checks the result. At the
     end, all files are moved to DIR; report.html contains the curves.
@@ -305,7 +307,7 @@ def _verify(
         for name, item in result["scenes"].items():
             print_tables(format_verification(name, item))
             print(*(f"  {note}\n" for note in item["notes"]), sep="", end="")
-        print(f"all of it, with errors and plots: {out / 'verify.html'}")
+        print(f"differences of all results, with plots: {out / 'verify.html'}")
     if not result["passed"]:
         raise typer.Exit(GateMissedError.exit_code)
 
@@ -318,7 +320,7 @@ def _explain(caller: OutputRecipient, scene: str, set_: list[str] | None = None)
     with their estimated size.
     """
     from kc2spice.core.progress import StageTimer
-    from kc2spice.scene.numerical_settings import describe_plan
+    from kc2spice.scene.numerical_settings import describe_analysis, describe_plan
     from kc2spice.scene.scene_classes import compute_scene_hash
     from kc2spice.workflow.part_models import build_models
 
@@ -330,30 +332,33 @@ def _explain(caller: OutputRecipient, scene: str, set_: list[str] | None = None)
         else {"s": build.largest_step.step, "why": build.largest_step.why}
     )
     head = {"scene": loaded.name, "hash": compute_scene_hash(loaded), "largest_step": step}
+    head["analysis"] = describe_analysis(loaded)
     record = {**head, **describe_plan(build)}
     if caller.print_json_if_requested(record):
         from kc2spice.report.run_page import format_model_summary
 
         print(textwrap.fill(f"{record['scene']}: {loaded.title}", PIPED_COLUMNS))
-        print(f"scene hash {record['hash']}\n")
-        print_table("joined", [(line,) for line in record["joins"]])
-        if record["frames"]:
-            print_table("displacements", [(line,) for line in record["frames"]])
-        print_tables(format_model_summary(record))
-        budget = "X" if record["error_budget"] is None else f"{record['error_budget']:g}"
-        effect = "refines the settings until every metric's error is below"
-        print(f"error_budget = {budget} {effect} {budget}\n")
-        if step:
-            print(textwrap.fill(f"largest step {step['s']:.3g} s: {step['why']}", PIPED_COLUMNS))
+        print(f"Analysis: {record['analysis']}\n")
+        for section in format_model_summary(record):
+            if not section.rows:
+                continue
+            print_tables([section])
+            if section.note:
+                print(textwrap.fill(section.note, PIPED_COLUMNS))
+            print()
+        print_table("Connections", [(line,) for line in record["joins"]])
+        print("".join(f"{line}\n" for line in record["frames"]))
+        print(f"Scene hash: {record['hash']}")
 
 
 @_register_command
 def _scenes(
     caller: OutputRecipient, keys: bool = False, parts: bool = False, part_type: str | None = None
 ) -> None:
-    """List the built-in scenes, all keys, or part types."""
+    """List the built-in scenes, the part types, or the keys of a type."""
     from dataclasses import asdict
 
+    from kc2spice.cli.part_type_output import print_keys, print_part_type
     from kc2spice.scene.keys import list_all_keys
     from kc2spice.scene.load import load_scene
     from kc2spice.scene.part_type_descriptions import describe_part_type, describe_part_types
@@ -372,7 +377,7 @@ def _scenes(
     if keys:
         scene_keys = list(list_all_keys())
         if caller.print_json_if_requested(list(map(asdict, scene_keys))):
-            print_keys("keys of a scene", scene_keys)
+            print_keys("Keys of a scene", scene_keys)
     elif parts:
         docs = list(describe_part_types())
         if caller.print_json_if_requested(list(map(asdict, docs))):
@@ -380,15 +385,7 @@ def _scenes(
     elif part_type is not None:
         doc = describe_part_type(part_type)
         if caller.print_json_if_requested(asdict(doc)):
-            print(textwrap.fill(f"{doc.name}: {doc.title}. {doc.doc}", PIPED_COLUMNS) + "\n")
-            pins = [(pin.name, pin.kind, pin.default or "") for pin in doc.pins]
-            print_table("pins", pins, ("pin", "unit", "default"), names=0)
-            print_keys("keys", doc.keys)
-            if doc.results:
-                names = ", ".join(f"PART.{name}" for name in doc.results)
-                print(textwrap.fill(f"results of the example: {names}", PIPED_COLUMNS) + "\n")
-            if doc.example:
-                print(f"example\n{doc.example}")
+            print_part_type(doc)
     else:
         titles = {name: load_scene(name).title for name in list_gallery()}
         if caller.print_json_if_requested(titles):
@@ -397,7 +394,7 @@ def _scenes(
 
 @_register_command
 def _parts(caller: OutputRecipient, search: str | None = None) -> None:
-    """List commercial parts; for a part number, also print its keys.
+    """List commercial parts, or print the keys of one part number.
 
     All commands with an argument SCENE accept a part number in place of SCENE.
     """
@@ -411,24 +408,21 @@ def _parts(caller: OutputRecipient, search: str | None = None) -> None:
         rows = [(part.number, part.maker, part.device, part.kind) for part in parts]
         print_table("parts", rows, ("number", "maker", "device", "part type"), names=0)
         if (sold := find_part(search or "")) is not None:
-            print(f"table of the part in a scene\n{write_catalogue_table(sold)}")
+            print(f"TOML table of this part in a scene:\n{write_catalogue_table(sold)}")
 
 
 @_register_command
 def _doctor(caller: OutputRecipient) -> None:
-    """Check simulator and packages, and print the fixes."""
+    """Check the installation, and print how to correct each fault."""
     from dataclasses import asdict
 
-    from kc2spice.cli.doctor import check_installation
+    from kc2spice.cli.doctor import check_installation, describe_program
+    from kc2spice.cli.doctor_output import print_findings
 
-    findings = list(check_installation())
-    if caller.print_json_if_requested({"findings": list(map(asdict, findings))}):
-        marks = ("ok" if f.ok else "MISSING" if f.needed else "absent" for f in findings)
-        rows = [
-            (mark, f.name, f.state, "" if f.ok else f.fix)
-            for mark, f in zip(marks, findings, strict=True)
-        ]
-        print_table("doctor", rows, ("", "what", "found", "fix"))
+    findings, program = list(check_installation()), describe_program()
+    record = {"program": program, "findings": list(map(asdict, findings))}
+    if caller.print_json_if_requested(record):
+        print_findings(program, findings)
     if any(finding.needed and not finding.ok for finding in findings):
         raise typer.Exit(MissingToolError.exit_code)
 
@@ -449,7 +443,7 @@ def _reduce(
     power: str | None = None,
     network: str | None = None,
 ) -> None:
-    """Reduce matrices or measured data to a small model.
+    """Build a small model from matrices or measured data.
 
     Writes the reduced model with an error estimate into DIR. Exit code 4 for an unstable model, a
     circuit that misses the tolerance, or a measurement that no circuit describes. If rounding of
@@ -565,7 +559,7 @@ def _fit(
     out: Path | None = None,
     set_: list[str] | None = None,
 ) -> None:
-    """Fit keys of a part to measured impedances.
+    """Fit parameters of a part to measured curves.
 
     Writes the fitted keys to fit.toml, a file for --set, and plots to report.html in DIR. The fit
     of a disc takes seconds, the fit of a solid takes minutes.
@@ -606,7 +600,7 @@ def _bench(
     repeats: int = 5,
     trust: bool = False,
 ) -> None:
-    """Find the fastest settings with a permitted error.
+    """Find the fastest settings that keep the error within a limit.
 
     Measures error and CPU time of SCENE for several values of the numerical settings that 'explain'
     lists, except meshes. The reference solution has the finest value of every setting. Exit code 4
@@ -628,7 +622,7 @@ def _bench(
         if recommended is not None:
             settings = chain.from_iterable(("--set", item) for item in set_ or ())
             print("kc2spice run", shlex.join([scene, *settings, *recommended["set"]]))
-        print(f"all of it: {out / 'bench.html'}")
+        print(f"full results: {out / 'bench.html'}")
     if recommended is None:
         raise typer.Exit(GateMissedError.exit_code)
 

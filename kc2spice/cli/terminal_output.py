@@ -24,11 +24,26 @@ from kc2spice.core.progress import ERROR_BUDGET, Progress, ignore_progress
 
 if TYPE_CHECKING:
     from kc2spice.report.html import PageSection
-    from kc2spice.scene.keys import KeyDescription
 PIPED_COLUMNS = 80  # characters, line width of output that is not printed on a terminal
 # largest numbers of metrics and rows in the summary of a run
 MAX_METRICS = 9
+# purposes of the files of a run, keyed by the end of their names
+FILE_PURPOSES = {
+    "result.json": "all results",
+    "report.html": "figures and tables",
+    "waveforms.npz": "waveforms",
+    "waveforms.csv": "waveforms",
+    ".raw": "waveforms",
+    "_plot.sp": "plots in ngspice",
+    ".lib": "subcircuits",
+    ".png": "figures",
+    "em_table.npz": "force table",
+}
 MAX_ROWS = 13
+# Output that is not printed on a terminal contains one line about a stage if the remaining time of
+# the stage exceeds LONG_TIME [s]. This time is extrapolated after MIN_ELAPSED_TIME [s].
+LONG_TIME = 30.0
+MIN_ELAPSED_TIME = 2.0
 INTERRUPTED_EXIT_CODE = 130  # exit code of shells after Ctrl-C
 
 
@@ -46,7 +61,8 @@ class OutputRecipient:
         """Return a context manager that shows stages and elapsed times on a terminal."""
         if not self.quiet and sys.stderr.isatty():
             return _show_progress_bars()
-        return nullcontext(ignore_progress if self.quiet or self.as_json else _print_limits)
+        silent = self.quiet or self.as_json
+        return nullcontext(ignore_progress if silent else _make_printer_of_long_stages())
 
     def print_json_if_requested(self, record: Any, out: Path | None = None) -> bool:
         """Print ``record`` as JSON if requested; return True if tables must be printed."""
@@ -56,13 +72,30 @@ class OutputRecipient:
         return not (self.as_json or self.quiet)
 
 
-def _print_limits(stage: str, done: float | None, text: str) -> None:
-    """Print a progress message if it is about the size limits of refined meshes.
+def _make_printer_of_long_stages() -> Progress:
+    """Return a function that prints one line for each stage that takes long.
 
-    Only messages of the stage :data:`ERROR_BUDGET` contain size limits of refined meshes.
+    The line contains the remaining time, which is extrapolated from the completed fraction of the
+    stage. Messages of the stage :data:`ERROR_BUDGET` contain limits, and are always printed.
     """
-    if stage == ERROR_BUDGET:
-        print(f"{stage}: {text}", file=sys.stderr)
+    starts, printed = dict[str, float](), set[str]()
+
+    def print_remaining_time(stage: str, done: float | None, text: str) -> None:
+        """Print the remaining time of a long stage, only once for each stage."""
+        now = time.monotonic()
+        if stage == ERROR_BUDGET:
+            print(f"{stage}: {text}", file=sys.stderr, flush=True)
+        if not done:
+            starts[stage] = now
+            return
+        elapsed = now - starts.setdefault(stage, now)
+        remaining = elapsed * (1 - done) / done
+        if stage not in printed and elapsed > MIN_ELAPSED_TIME and remaining > LONG_TIME:
+            printed.add(stage)
+            left = _describe_remaining_time(remaining)
+            print(f"{stage}: {text}, about {left}", file=sys.stderr, flush=True)
+
+    return print_remaining_time
 
 
 @contextmanager
@@ -130,9 +163,9 @@ def report_errors() -> Iterator[None]:
         # This flush reports a full disk before the interpreter ends.
         sys.stdout.flush()
     except Kc2spiceError as error:
-        _print_error(str(error), error.exit_code)
+        _exit_with_error(str(error), error.exit_code)
     except KeyboardInterrupt:
-        _print_error("interrupted; nothing was written", INTERRUPTED_EXIT_CODE)
+        _exit_with_error("interrupted; nothing was written", INTERRUPTED_EXIT_CODE)
     # The program that reads the pipe has ended, as in `kc2spice scenes | head`.
     except BrokenPipeError:
         _discard_stdout()
@@ -143,17 +176,17 @@ def report_errors() -> Iterator[None]:
         text = (
             "the memory is exhausted\n  next:     use a coarser mesh, fewer points or more memory"
         )
-        _print_error(text, SimulationError.exit_code)
+        _exit_with_error(text, SimulationError.exit_code)
     except Exception as error:
         if isinstance(error, OSError) and error.errno in DISK_FULL_ERRORS:
             _discard_stdout()
             text = f"the file cannot be written: {error.strerror}\n  next:     free some space"
-            _print_error(text, UsageError.exit_code)
+            _exit_with_error(text, UsageError.exit_code)
         if os.environ.get("KC2SPICE_DEBUG"):
             traceback.print_exc()
         detail = f"{type(error).__name__}: {error}".splitlines()[0]
         text = f"internal error: {detail}\n  next:     set KC2SPICE_DEBUG=1 for the details"
-        _print_error(text, SimulationError.exit_code)
+        _exit_with_error(text, SimulationError.exit_code)
 
 
 def _discard_stdout() -> None:
@@ -162,8 +195,8 @@ def _discard_stdout() -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def _print_error(text: str, code: int) -> NoReturn:
-    """Print an error message, and end the program with an exit code."""
+def _exit_with_error(text: str, code: int) -> NoReturn:
+    """Exit from the program with an error message and an exit code."""
     print(f"kc2spice: error: {text}", file=sys.stderr, flush=True)
     raise typer.Exit(code) from None
 
@@ -189,16 +222,6 @@ def print_table(
     Console(width=width).print(table)
 
 
-def print_keys(title: str, keys: Iterable[KeyDescription]) -> None:
-    """Print name, unit, default and description of each key."""
-    rows = []
-    for key in keys:
-        text = ": ".join(filter(None, (" | ".join(key.choices), key.doc)))
-        default = "" if key.default is None else str(key.default)
-        rows.append((key.name, key.unit or "", default, text))
-    print_table(title, rows, ("key", "unit", "default", ""), names=0)
-
-
 def print_tables(sections: Iterable[PageSection]) -> None:
     """Print the sections of a report page as tables."""
     for section in sections:
@@ -207,21 +230,36 @@ def print_tables(sections: Iterable[PageSection]) -> None:
             print_table(section.title, rows, section.head)
 
 
+def _group_files_by_purpose(result: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Return table rows with the files of a run, grouped by purpose."""
+    groups = dict[str, list[str]]()
+    for name in map(str, result["files"]):
+        is_deck = name == result.get("netlist")
+        matches = (purpose for end, purpose in FILE_PURPOSES.items() if name.endswith(end))
+        purpose = "netlist of the scene" if is_deck else next(matches, "other files")
+        groups.setdefault(purpose, []).append(name)
+    return [(purpose, ", ".join(names)) for purpose, names in groups.items()]
+
+
 def print_result(result: Mapping[str, Any], directory: Path, *, verbose: bool = False) -> None:
     """Print the result of a run in at most 15 lines.
 
-    With ``verbose``, all tables of the report are also printed.
+    With ``verbose``, all metrics and all tables of the report are printed.
     """
     from kc2spice.report.run_page import format_results, format_summary
 
-    summary = format_summary(result, MAX_METRICS)
-    count = len(result["files"])
-    rows = [*summary.rows[:MAX_ROWS], ("report", f"{directory / 'report.html'} ({count} files)")]
+    summary = format_summary(result, None if verbose else MAX_METRICS)
+    rows = [*summary.rows[: None if verbose else MAX_ROWS]]
+    rows.append(("report", str(directory / "report.html")))
     print_tables([replace(summary, title=str(result.get("scene", "")), rows=rows)])
     if not verbose:
         return
-    print_tables(format_results(result))
-    print_table(f"files in {directory}", [(", ".join(map(str, result["files"])),)])
+    for section in format_results(result):
+        if section.rows:
+            print()
+            print_tables([section])
+    print()
+    print_table(f"Files in {directory}", _group_files_by_purpose(result))
     for raw in (name for name in result["files"] if name.endswith(".raw")):
         rows = [
             ("ngspice", f"load {raw}, then plot VECTOR"),

@@ -84,7 +84,8 @@ class SceneLaws:
                     result[name] = reason
                 case Equations():
                     result[name] = (
-                        "its signal drives a load, and a law has signals without a current"
+                        "its signal drives a load, but the reference equations assume signals "
+                        "without current"
                     )
         return result
 
@@ -137,7 +138,7 @@ class SceneLaws:
 
     @cached_property
     def networks(self) -> tuple[Network, ...]:
-        """Networks of laws; no net except ground belongs to several networks.
+        """Networks of part equations that share no nets with each other except ground.
 
         Raises
         ------

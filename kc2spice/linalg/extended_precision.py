@@ -25,8 +25,8 @@ CONVERGED_CORRECTION = 1e-8
 DIVERGED_CORRECTION = 1e-3
 
 
-class ExactMatrix:
-    """Real matrix whose products have a relative error of about 1e-18.
+class ExtendedPrecisionMatrix:
+    """Real matrix whose products have extended precision, an error of about 1e-18.
 
     The error is relative to the largest term in the sum of a matrix product. The error does not
     increase if the terms of this sum cancel.
@@ -73,7 +73,10 @@ class RefinedSolver:
 
     def __init__(self, A: np.ndarray, E: np.ndarray) -> None:
         self._plain = A, E
-        self._sides = (ExactMatrix(A), ExactMatrix(E)), (ExactMatrix(A.T), ExactMatrix(E.T))
+        self._sides = (
+            (ExtendedPrecisionMatrix(A), ExtendedPrecisionMatrix(E)),
+            (ExtendedPrecisionMatrix(A.T), ExtendedPrecisionMatrix(E.T)),
+        )
 
     def solve_two_sided(
         self, s: complex, B: np.ndarray, C: np.ndarray

@@ -78,10 +78,10 @@ _NUMBER_IN_TABLE = re.compile(r"[^\s,(){}=]+")
 _MICRO = str.maketrans({"\u00b5": "u", "\u03bc": "u"})
 _UNSUPPORTED_FUNCTIONS = {
     "absdelay": "a delay of a voltage", "delay": "a delay of a voltage",
-    "ddt": "a derivative in time", "idt": "an integral over time",
-    "idtmod": "an integral over time", "sdt": "an integral over time",
-    "rand": "random numbers over time", "random": "random numbers over time",
-    "white": "random numbers over time", "smallsig": "a test of the analysis",
+    "ddt": "a time derivative", "idt": "a time integral",
+    "idtmod": "a time integral", "sdt": "a time integral",
+    "rand": "a random signal", "random": "a random signal",
+    "white": "a random signal", "smallsig": "a test for small-signal analysis",
 }  # fmt: skip
 
 
@@ -198,10 +198,10 @@ class _CircuitTranslator:
         base = self.models.get(model.type[4:].lower())
         if base is None or base is model:
             raise model.make_error(
-                "no model to begin with",
+                "the base model of this model is missing",
                 model.type[4:],
                 "a .model of this file",
-                f"add the line  .model {model.type[4:]} …  of its manufacturer",
+                f"add the line  .model {model.type[4:]} …  from the library of the manufacturer",
             )
         base = self._resolve_model(base)
         parameters = _get_model_parameters(base) | _get_model_parameters(model)
@@ -250,8 +250,8 @@ class _CircuitTranslator:
             return (self._translate_resistor(element),)
         if element.kind == "a":
             raise element.make_error(
-                "a device of LTspice's own has no equal in ngspice",
-                hint="replace it by B sources, or by a subcircuit of the same function",
+                "an A device of LTspice has no equivalent in ngspice",
+                hint="replace the A device by B sources, or by a subcircuit with the same function",
             )
         words = " ".join(map(str.lower, (*element.values, *element.parameters)))
         if element.kind in "eg" and (
@@ -262,8 +262,8 @@ class _CircuitTranslator:
             )
         if element.kind == "i" and words.endswith(" load"):
             raise element.make_error(
-                "a load without current at 0 V has no equivalent in ngspice",
-                hint="delete load from this line, or replace the source by a resistor",
+                "a current source with the option `load` has no equivalent in ngspice",
+                hint="delete the option `load` from this line, or replace the source by a resistor",
             )
         if self.syntax == "ltspice":
             element = _move_ratings(element)
@@ -346,7 +346,7 @@ class _CircuitTranslator:
         """Translate an inductor with the parasitics ``Rser``, ``Rpar`` and ``Cpar``."""
         if "flux" in element.settings:
             raise element.make_error(
-                "a flux by an expression has no equivalent in ngspice",
+                "an inductor with a flux expression has no equivalent in ngspice",
                 hint="write a constant inductance in place of the expression",
             )
         ideal = element.key in self.coupled or self.syntax == "pspice"
@@ -389,7 +389,7 @@ def _translate_capacitor(element: Element) -> Iterable[Item]:
     settings = element.settings
     if "q" in settings or any(word.lower().startswith("q=") for word in element.values):
         raise element.make_error(
-            "a charge by an expression has no equivalent in ngspice",
+            "a capacitor with a charge expression has no equivalent in ngspice",
             hint="write a constant capacitance in place of the expression",
         )
     return _expand_parasitics(element, settings, ("lser", "rlshunt"))
@@ -644,8 +644,10 @@ class _ExpressionTranslator:
             return FunctionCall(function, arguments)
         if reason := _UNSUPPORTED_FUNCTIONS.get(function):
             got = ExpressionWriter().write_tree(FunctionCall(function, arguments))
-            hint = f"replace {function}(…) by an expression without it"
-            raise self.card.make_error(f"{reason} has no equal in ngspice", got[:80], hint=hint)
+            hint = f"replace {function}(…) by an expression that does not use {function}"
+            raise self.card.make_error(
+                f"{reason} has no equivalent in ngspice", got[:80], hint=hint
+            )
         rule = _FUNCTION_RULES.get((function, len(arguments))) or _FUNCTION_RULES.get(
             (function, -1)
         )

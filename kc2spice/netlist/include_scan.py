@@ -115,7 +115,8 @@ class _Reader:
     ) -> Iterator[Line]:
         """Yield the lines of a file, with the content of included files inserted.
 
-        The line ``where`` of another file includes the file ``path`` as ``name``.
+        ``name`` is the name of the file in messages. ``where`` is the position of the line that
+        includes the file; for the main file, ``where`` is the path of the file.
         """
         real = path.resolve()
         if real in chain:
@@ -139,7 +140,9 @@ class _Reader:
                 yield Line(line, position, raw)
                 continue
             if goes_on and not self.trust:
-                raise make_forbidden_line_error("goes on in an include", self.main, position, raw)
+                raise make_forbidden_line_error(
+                    "has a line that continues in an included file", self.main, position, raw
+                )
             target = self._parse_include(match[1], position, raw)
             file = path.parent / target
             try:
@@ -178,7 +181,7 @@ class _Reader:
                 )
                 plain = make_plain_name(re.split(r"[\\/]", target)[-1])
                 if plain and reason != "more than one word":
-                    error.hint = f"copy the file beside {self.main.name}, and write  "
+                    error.hint = f"copy the file into the folder of {self.main.name}, and write  "
                     error.hint += f".include {plain}"
                 raise error
         return target
@@ -226,7 +229,8 @@ class _Reader:
                 where=where,
                 got=f"{name}: {reason}",
                 expected=(
-                    f"a text file, at most {MAX_CIRCUIT_BYTES} bytes with all that it includes"
+                    f"a text file, and at most {MAX_CIRCUIT_BYTES} bytes in the netlist and all "
+                    "its included files together"
                 ),
                 hint=f"copy {name} to {real.parent}, or correct its name" if missing else None,
             ) from None
@@ -234,18 +238,20 @@ class _Reader:
 
 # First bytes of files in other formats, with the name of the format and the recommended action.
 _OTHER_FORMATS = {
-    b"%PDF": ("a PDF document", "give the path of the SPICE model (.lib or .cir) in its place"),
-    b"PK\x03\x04": ("an archive", "unpack it, and give the path of the netlist in it"),
+    b"%PDF": ("a PDF document", "give the path of the SPICE model (.lib or .cir) instead"),
+    b"PK\x03\x04": ("an archive", "unpack the archive, and give the path of the unpacked netlist"),
     b"Version 4": (
         "a schematic of LTspice",
-        "open it in LTspice, choose View > SPICE Netlist, and save the text as a .cir file",
+        "open the schematic in LTspice, choose View > SPICE Netlist, and save the text as a .cir "
+        "file",
     ),
     b"(kicad_sch": (
         "a schematic of KiCad",
-        "open it in KiCad, choose File > Export > Netlist > SPICE, and give that file",
+        "open the schematic in KiCad, choose File > Export > Netlist > SPICE, and give the path of "
+        "the exported file",
     ),
-    b"<!DOCTYPE": ("a web page", "download the netlist itself in place of the page around it"),
-    b"<html": ("a web page", "download the netlist itself in place of the page around it"),
+    b"<!DOCTYPE": ("a web page", "download the netlist file instead of the web page that shows it"),
+    b"<html": ("a web page", "download the netlist file instead of the web page that shows it"),
 }
 
 
@@ -415,7 +421,7 @@ def _warn_of_milli(cards: Iterable[Statement]) -> None:
 
 
 def _list_mega_candidates(card: Statement) -> Iterator[str]:
-    """Yield the values of a card that are probably resistances or frequencies.
+    """Yield a card's probable resistances and frequencies, where M may mean mega.
 
     The value of a parameter is yielded if the parameter's name begins with R or F.
     """
@@ -476,7 +482,7 @@ def _list_card_problems(
     )
     if outside and redefines:
         hint = "rename the definition, or move the definition into the .subckt"
-        yield "defines a built-in name for the whole deck", "a name of its own", hint
+        yield "redefines a built-in name for the whole deck", "a name that is not built in", hint
 
 
 def _find_separate_suffix(card: Statement) -> tuple[str, str] | None:
@@ -493,7 +499,7 @@ def _find_separate_suffix(card: Statement) -> tuple[str, str] | None:
 
 
 def _find_decimal_comma(card: Statement) -> str:
-    """Find a number with a decimal comma on a card; return no text if there is none.
+    """Find a number with a decimal comma on a card; if none, return an empty text.
 
     The simulator reads a number with a decimal comma as two numbers.
     """
@@ -629,10 +635,11 @@ def read_included_netlist(name: str, home: Path, *, trust: bool = False) -> Flat
 
 
 def read_untrusted_netlist(name: str, home: Path) -> FlatCircuit:
-    """Read a netlist file unchanged, with included files in the same directory.
+    """Read an untrusted netlist file, with included files below one directory only.
 
-    Included files may also be in directories below ``home``. The function is for reading pins and
-    nodes of a circuit that the user does not trust yet.
+    The directory is ``home``, or the directory of the file if ``home`` is empty. All lines remain
+    unchanged. The function is for reading pins and nodes of a circuit that the user does not trust
+    yet.
 
     Raises
     ------
@@ -660,9 +667,9 @@ def _find_line_faults(text: str) -> Iterator[str]:
     if match := _DISGUISED_COMMAND.match(text):
         yield f"has a {match[1].lower()} command"
     if _UNUSUAL_BLANK.search(split_comment(text)[0]):
-        yield "has unusual blanks, which the simulator does not treat as blanks"
+        yield "contains non-ASCII spaces, which the simulator does not treat as spaces"
     if "`" in text:
-        yield "has a back quote, which runs a program"
+        yield "contains a back quote, which can run a program"
 
 
 def _require_known_command(card: Statement) -> None:
@@ -714,7 +721,7 @@ def _find_card_faults(card: Statement) -> Iterator[str]:
         if key not in ALLOWED_COMMANDS:
             yield f"has the command {key}"
     elif key[0] not in _ALLOWED_ELEMENTS:
-        yield "has a card that is no element"
+        yield "contains a card that is not a permitted element"
     if key in OPTION_CARDS:
         for word in card.words[1:]:
             name = word.partition("=")[0].lower()

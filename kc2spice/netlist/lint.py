@@ -22,6 +22,7 @@ from kc2spice.netlist.expression import (
     parse_expression,
     walk_tree,
 )
+from kc2spice.netlist.importer import PSPICE_SWITCHES
 from kc2spice.netlist.name_scopes import GROUND_NAMES, Scope, build_scope, find_instance
 from kc2spice.netlist.number_and_name_spelling import split_infix_unit
 from kc2spice.netlist.subcircuit_library import parse_declared_pins
@@ -156,14 +157,22 @@ def _check_references(part: Element, scope: Scope) -> Iterator[UsageError]:
     if part.model and part.model.lower() not in scope.models:
         hint = f"add the line  .model {part.model} {_MODEL_TYPES.get(part.kind, 'TYPE')}"
         yield _make_unknown_name_error(part, "no such model", part.model, scope.models, hint)
+    model = scope.models.get((part.model or "").lower())
+    if model is not None and (replacement := PSPICE_SWITCHES.get(model.type.lower())):
+        yield model.make_error(
+            f"model type {model.type} exists in PSpice but not in ngspice",
+            f"{model.type} of the model {model.name}",
+            f'{replacement}, or a netlist part with syntax = "pspice"',
+            'add  syntax = "pspice"  to the table of the netlist part',
+        )
     for param in part.settings if part.kind in "rlcvi" else ():
         if instead := _PARASITIC_ELEMENTS.get(param):
             yield part.make_error(
-                "ngspice has no such parameter of an element, LTspice has",
+                f"the element parameter {param} exists in LTspice but not in ngspice",
                 f"{param}={part.settings[param]} of {part.name}",
-                f"{instead}, as an element of its own",
-                f"write the {instead} as a card of its own and leave {param} out, or set "
-                'syntax = "ltspice" of the netlist part',
+                f"{instead} as a separate element",
+                f"write the {instead} as a separate element and delete {param}, or set "
+                'syntax = "ltspice" in the netlist part',
             )
     for value in part.values:
         # ngspice ignores the digits behind the letter, such as 7 in 4k7
@@ -234,7 +243,7 @@ def _check_expression(
                 message, hint = "ngspice has no such function", f"add a .func {name}(x) {{…}}"
                 yield _make_unknown_name_error(card, message, name, functions, hint)
             case BinaryOperation("^", _, power) if law and power in _ODD_NUMBERS:
-                message = "ngspice takes odd powers of the absolute value"
+                message = "ngspice computes odd powers from the absolute value of the base"
                 yield card.make_error(message, card.written, "a product", "write x*x*x for x^3")
 
 
@@ -268,8 +277,8 @@ def _check_connections(
                     near[0] if near else None,
                     f"did you mean {near[0]!r}?"
                     if near
-                    else f"connect another element to {node}, or rename it to nc_{node} if it is "
-                    "to be free",
+                    else f"connect another element to {node}, or rename {node} to nc_{node} if the "
+                    "node is intentionally unconnected",
                 )
 
 

@@ -93,9 +93,11 @@ def build_scope(tree: Circuit, files: Mapping[str, Circuit] | None = None, file:
         # a file must include neither itself nor a file by which it is included
         others = sorted(set(files) - set(chain))
         got = include.argument or "no file name"
-        hint = did_you_mean(include.argument, others) or f"copy {got} beside the netlist"
+        hint = (
+            did_you_mean(include.argument, others) or f"copy {got} into the folder of the netlist"
+        )
         expected = f"one of {', '.join(others)}" if others else None
-        raise include.make_error("included file is not there", got, expected, hint)
+        raise include.make_error("included file not found", got, expected, hint)
     return top
 
 
@@ -157,7 +159,7 @@ def _require_same_definition(scope: Scope, what: str, value: str, card: Card) ->
     first, first_card = scope.defined.setdefault(what, (value, card))
     if first_card.file != card.file and first != value:
         expected = f"one definition; the first is in {first_card.where}"
-        hint = "rename one of the two, or move each definition into its .subckt"
+        hint = "rename one of the two definitions, or move each definition into its .subckt"
         raise card.make_error(f"two files define the {what}", card.written, expected, hint)
 
 
@@ -167,7 +169,7 @@ def _open_subcircuit(item: Circuit, parent: Scope) -> Scope:
     if first := parent.subcircuits.maps[0].get(name):
         expected = f"one definition; the first is in {first.where}"
         hint = f"rename or delete the second .subckt {item.name}"
-        raise item.make_error("two subcircuits have one name", item.name, expected, hint)
+        raise item.make_error("two subcircuits have the same name", item.name, expected, hint)
     defaults = key_by_lower_name(item.defaults)
     parent.subcircuits[name] = Scope(
         item.name,

@@ -28,7 +28,7 @@ def describe_node(deck: Deck, node: str) -> str | None:
     if scope is None:
         return None
     if path:
-        return _describe_instance(deck, scope, path[-1], name)
+        return _describe_inner_node(deck, scope, path[-1], name)
     if name in scope.elements_by_key:
         return f"{name} in {deck.main_file_name}"
     wired = []
@@ -41,7 +41,7 @@ def describe_node(deck: Deck, node: str) -> str | None:
     return f"node of {', '.join(wired)}" if wired else None
 
 
-def _describe_instance(deck: Deck, scope: Scope, instance: str, name: str) -> str:
+def _describe_inner_node(deck: Deck, scope: Scope, instance: str, name: str) -> str:
     """Describe a node inside an instance by the instance and the nearest pin.
 
     An inner node belongs to the pin whose name is the end of the node's name: ``fring0`` belongs to

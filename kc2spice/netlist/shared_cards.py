@@ -13,8 +13,8 @@ from kc2spice.netlist.number_and_name_spelling import format_comment
 Line: TypeAlias = Item | str
 
 _PIVOT_COMMENT = (
-    "* A source of 0 V with corners at 1 and 2 ps makes the first time step small. In this step\n"
-    "* the simulator chooses the order in which it eliminates unknowns."
+    "* A source of 0 V with breakpoints at 1 and 2 ps makes the first time step small. In this\n"
+    "* step, the simulator chooses its pivot order."
 )
 
 

@@ -14,8 +14,9 @@ from pathlib import Path
 from typing import Any
 
 from kc2spice.core import __version__
+from kc2spice.core.argument_and_option_names import check_arguments
 from kc2spice.core.errors import UsageError
-from kc2spice.core.files import open_folder_of_file, suggest_file
+from kc2spice.core.files import create_parent_folders, suggest_file
 from kc2spice.core.untrusted_files import decode_text, read_bounded, reject_toml_file
 from kc2spice.netlist.card_parser import read_cards
 from kc2spice.netlist.circuit import (
@@ -63,7 +64,7 @@ def write_model_comments(plan: Mapping[str, Any], without: Collection[str] = ())
     facts = {
         "modelled": ", ".join(map(itemgetter("part"), plan["parts"])),
         f"numerical settings (error {error})": ", ".join(settings),
-        "left out (sizes: kc2spice explain)": "; ".join(
+        "neglected effects (for their sizes: kc2spice explain)": "; ".join(
             map(itemgetter("effect"), plan["left_out"])
         ),
     }
@@ -160,7 +161,7 @@ class Subcircuit:
         ------
         UsageError : the file cannot be written.
         """
-        with open_folder_of_file(path) as file:
+        with create_parent_folders(path) as file:
             if file.is_dir():
                 file = file / self.filename
             file.write_text(self.text, encoding="utf-8")
@@ -173,6 +174,7 @@ class Subcircuit:
         return f"<Subcircuit {self.name}: pins {pins}{'; ' + params if params else ''}>"
 
 
+@check_arguments
 def read_lib(path: str | Path) -> list[Subcircuit]:
     """Read the parts of a library file.
 

@@ -50,7 +50,7 @@ class ConductorKeys(Section):
             cls.model_fields[name] = cls.model_fields.pop(name)
 
 
-def get_conductor_values(keys: Section) -> tuple[float | None, float]:
+def get_temperature_coefficient(keys: Section) -> tuple[float | None, float]:
     """Return temperature coefficient [1/K] and reference temperature [K] of a part.
 
     The temperature coefficient is None if no key of the part states this coefficient.
@@ -60,8 +60,13 @@ def get_conductor_values(keys: Section) -> tuple[float | None, float]:
     return keys.temperature_coefficient, keys.reference_temperature or 0.0
 
 
+# Optional pins through which a part exchanges the heat of its losses with other parts.
+# Each value is the key that adds the pin to the part.
+OPTIONAL_HEAT_PINS = {"heat": "pins.heat", "ambient": "pins.heat"}
+
+
 def is_heated(part: Part, scene: DeclaredScene) -> bool:
-    """Return whether the scene connects the heat pin of a part."""
+    """Return whether a part is heated: whether the scene connects its pin ``heat``."""
     return HEAT in part.pins or scene.is_target(part.name, HEAT)
 
 

@@ -26,11 +26,16 @@ from kc2spice.physics.symbolic_algebra import (
 CONTACT_RATING = "not known; compare the force with the strength of both surfaces (Hertz)"
 # SPACING_NOTE is printed in place of an error estimate for the mesh of a pressure law.
 # The mesh error of a pressure law is the error of the fitted compliances.
-SPACING_NOTE = "error not estimated; a run with half the key spacing shows it"
+SPACING_NOTE = "error not estimated; to see it, run again with half the value of the key `spacing`"
 # Reason for FRICTION_NOTE: in a test, a block in compiled Verilog-A slid 35 mm instead of 0.2 mm.
 # The simulator printed no error message about the wrong sliding distance of the block.
-FRICTION_NOTE = "compiled modules lose the digits that friction below its creep speed needs"
-SIGN_NOTE = "um, m/s and N count upwards; 1 A into a pin pushes the part up with 1 N"
+FRICTION_NOTE = (
+    "compiled Verilog-A modules are not precise enough for friction at sliding speeds below the "
+    "parameter `creep`"
+)
+SIGN_NOTE = (
+    "um, m/s and N are positive upwards; 1 A into a pin is an upward force of 1 N on the part"
+)
 
 
 @dataclass(frozen=True)
@@ -177,11 +182,11 @@ def declare_contact(
         forces[x] = ExpressionWriter().write_tree(damping)
     sides = ("a", "va", rigid[0]), ("bottom", "v", rigid[1])
     lags = dict.fromkeys(forces, "pace") if law.pace else {}
-    kind, along, absent = "elastic", "", "friction, "
+    kind, along, absent = "elastic normal force", "", "friction, "
     if law.damping:
-        kind = "elastic but for its damping"
+        kind = "damped elastic normal force"
     if law.friction:
-        along, absent = " and along", ""
+        along, absent = " and Coulomb friction", ""
         branches.append(displacement("slide", "slide", "rail", "friction"))
         rubbed = multiply_trees(
             parse_simplified(f"friction*clip(slide{RATE}/creep)"), add_trees(*pressed)
@@ -197,8 +202,7 @@ def declare_contact(
         given=tuple(_list_parameters(ports, gaps, law, under, groove)),
         constants=constants,
         rating=CONTACT_RATING,
-        validity=f"{kind} and normal to{along} the surface, at any temperature: no {absent}"
-        "adhesion or plastic flow",
+        validity=f"{kind}{along}, at any temperature; no {absent}adhesion or plastic flow",
         sign=SIGN_NOTE,
         speeds={pin: speed for pin, speed, is_rigid in sides if is_rigid},
         lags=lags,
@@ -219,23 +223,24 @@ def _list_parameters(
     """Yield the parameters that an instance of the subcircuit can set."""
     linear = law.power == 1
     stiffness_text = (
-        "contact penalty of a whole ring"
+        "contact penalty stiffness of a whole ring"
         if linear
         else "stiffness of the Hertz contact, 4/3 E* sqrt(R)"
     )
-    damping, friction = "damping coefficient of Hunt and Crossley", "friction coefficient"
+    damping, friction = "Hunt-Crossley damping coefficient", "friction coefficient"
     if groove is not None:
-        s = f"s = sin({groove:g}/2 deg)"
+        sine = f"sin({groove:g}/2 deg)"
         stiffness_text = (
-            f"stiffness along the axis of a groove, 2 s^{1 + law.power:g} times a flank, {s}"
+            f"stiffness of the groove, 2 {sine}^{1 + law.power:g} times the stiffness of one flank"
         )
-        damping, friction = f"s times the damping of a flank, {s}", f"friction coefficient / s, {s}"
+        damping = f"damping coefficient of the groove, {sine} times that of one flank"
+        friction = f"friction coefficient of the groove, 1/{sine} times that of one flank"
     yield make_positive_parameter(
         "eps", law.stiffness, "N/m" if linear else "N/m^1.5", stiffness_text
     )
     if law.radius:
         yield Param("radius", law.radius, "m", "radius of the sphere", law.depth)
-        yield Param("pace", law.pace, "s", "time in which the surfaces follow the pressure")
+        yield Param("pace", law.pace, "s", "time constant of the surface deformation")
     elif under is not None:
         yield Param("radius", under[0], "m", "radius of the sphere", max(under[1][: len(ports)]))
     doc = (
@@ -249,4 +254,5 @@ def _list_parameters(
         yield make_positive_parameter("damping", law.damping, "s/m", damping)
     if law.friction:
         yield make_positive_parameter("friction", law.friction, "1", friction)
-        yield make_positive_parameter("creep", law.creep, "m/s", "sliding speed of full friction")
+        words = "sliding speed above which friction is fully developed"
+        yield make_positive_parameter("creep", law.creep, "m/s", words)

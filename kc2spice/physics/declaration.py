@@ -19,9 +19,9 @@ rates, voltages and currents::
 
 A *measured* branch has a coordinate, but no flow through its pins. Each of the ``states`` x
 satisfies an equation ``dx/dt = f``, where f is a function of states, coordinates and rates. The
-expressions of the content ``R`` and of ``forces`` may contain the names of ``states``. For example,
-the content ``R``, which describes the losses of a controller, is a function of the controller's
-inputs and states.
+expressions of ``forces`` and of the content ``R`` may contain the names of ``states``. For example,
+the content ``R`` of a controller depends on the inputs and states of the controller. The content
+``R`` is also called dissipation function.
 
 The stored energy is ``T + U - W + sum(v * q) + sum(i * l)``. The power that becomes heat is
 ``sum(x_rate * dR/dx_rate) + sum(v * dR/dv) + sum(i * dR/di)``, plus the products of rates and
@@ -89,13 +89,13 @@ COORDINATES = tuple(
 
 @dataclass(frozen=True)
 class Branch:
-    """Branch of a declaration: coordinate between two pins, and flow through the pins.
+    """Branch between two pins of a part: a coordinate such as a voltage, and a flow.
 
     ``kind`` is the physical quantity of the coordinate, and ``name`` is the name of the coordinate
     in expressions. ``through`` is the name of the flow into the pin ``plus``, and is empty for a
     measured branch. ``less`` is the name of a second negative pin, which only displacement branches
-    can have. The coordinate of a branch with ``less`` is the displacement of ``plus`` minus the
-    displacements of ``minus`` and ``less``.
+    can have. The coordinate of a branch with ``less`` is ``x_plus - x_minus - x_less``, computed
+    from the displacements x of its three pins.
     """
 
     kind: str
@@ -129,8 +129,9 @@ class Branch:
     def lossy_variable(self) -> str:
         """Name of the variable on which the losses of the branch depend.
 
-        The losses of a displacement or angle depend on its rate. The losses of any other
-        coordinate, such as a voltage, depend on the coordinate itself.
+        If the coordinate of the branch is a displacement or an angle, the dissipated power depends
+        on the rate of the coordinate. Otherwise, the dissipated power depends on the coordinate
+        itself, such as a voltage.
         """
         return self.rate if self.is_motion else self.name
 
@@ -143,7 +144,8 @@ class Branch:
     def across(self) -> str:
         """Result name of the quantity across the pins, such as a voltage.
 
-        The result name is the name of the coordinate, if the coordinate is not a flow.
+        If the coordinate is itself the quantity across the pins, the result name is the name of the
+        coordinate.
         """
         if not self.is_flow:
             return self.name
@@ -214,7 +216,7 @@ def make_frame_branch(name: str, pin: str, base: str) -> Branch:
 
 
 def measured(branch: Branch) -> Branch:
-    """Return a copy of ``branch`` as a measured branch, which has no flow.
+    """Return a copy of ``branch`` that is only measured: no flow passes through it.
 
     The input of a sensor is an example of such a branch.
     """
@@ -256,15 +258,17 @@ def write_resistance_ratio(temperature: str = TEMPERATURE) -> str:
 
 HEAT_BRANCH = branch("temperature", TEMPERATURE, HEAT, AMBIENT, HEAT)
 ONE_TEMPERATURE = (
-    "differences of temperature within the part",
-    "all losses heat one place",
+    "temperature differences within the part",
+    "all losses heat a single thermal node",
     "not estimated",
 )
 
-# Hints for terms that the energy or the coenergy must not contain, with the correct field.
+# Hints for terms that do not belong in ``energy`` or ``coenergy``; each hint names the correct
+# field of the declaration.
 _FIELD_HINTS = {
-    "energy": "state energy that depends on {} in coenergy, and losses in content",
-    "coenergy": "state losses that depend on {} in content, and the energy of a mass in kinetic",
+    "energy": "write energy that depends on {} into `coenergy`, and losses into `content`",
+    "coenergy": "write losses that depend on {} into `content`, and the energy of a mass into "
+    "`kinetic`",
 }
 
 
@@ -300,7 +304,7 @@ class Declaration:
     is true, the losses are known only after the model is built. ``heated`` is true if
     :meth:`with_heat_pin` added a heat pin to the part. ``example`` contains the tables of a small
     scene in TOML, for the list of part types. The header of the library file states the permitted
-    load, ``rating``, and the sign convention of the pins, ``sign``.
+    load from the field ``rating``, and the sign convention of the pins from the field ``sign``.
 
     The following fields have an effect only on the netlist:
 
@@ -346,7 +350,8 @@ class Declaration:
     rating: str = "not known"
     validity: str = ""
     sign: str = (
-        "um and N count along plus less minus; 1 A into a pin pushes the part that way with 1 N"
+        "um and N have the same positive direction at all pins; 1 A into a pin is a force of 1 N "
+        "on the part in this direction"
     )
     example: str = ""
     outputs: Mapping[str, str] = field(default_factory=dict)
@@ -387,7 +392,7 @@ class Declaration:
         if isinstance(value, tuple | list) and all(isinstance(b, Branch) for b in value):
             return
         raise UsageError(
-            "the branches are not a tuple of branches",
+            "the argument `branches` is not a tuple of Branch objects",
             where=self.name,
             got="one branch" if isinstance(value, Branch) else repr(value)[:80],
             expected="a tuple such as (branch('angle'),)",
@@ -489,8 +494,8 @@ class Declaration:
             Relative rise of the conductors' resistance [1/K], by default the value in the
             declaration.
         reference_temperature : float, default 0
-            Temperature [K] relative to the pin ``ambient`` at which the stated resistances are
-            valid.
+            Temperature at which the stated resistances are valid, as a difference [K] from the
+            temperature of the pin ``ambient``.
 
         Returns
         -------
@@ -526,7 +531,7 @@ class Declaration:
                     REFERENCE,
                     reference_temperature,
                     "K",
-                    "temperature rise of the stated resistances",
+                    "temperature above ambient at which the resistances are given",
                 ),
             )
         return replace(self, branches=(*self.branches, HEAT_BRANCH), heated=True, **change)
@@ -570,7 +575,7 @@ class Declaration:
 
     @cached_property
     def measured_branches(self) -> tuple[Branch, ...]:
-        """Branches that only measure a quantity, without a flow through their pins."""
+        """Measured branches: a quantity is read between their pins, but no flow passes."""
         return tuple(branch for branch in self.branches if not branch.through)
 
     @cached_property
@@ -597,12 +602,12 @@ class Declaration:
         if self.validity:
             return self.validity
         if any(domain.is_relaxing for domain in self.domains.values()):
-            return "keys independent of temperature; nothing here ages or breaks"
+            return "parameters independent of temperature; no ageing or failure"
         return "constant temperature; no heating, ageing or failure"
 
     @cached_property
     def declaration_with_loop_pin(self) -> Declaration:
-        """Copy of the declaration with both ends of each current loop at pin ``loops``."""
+        """Declaration with a pin ``loops`` at which all current loops start and end."""
         if self.pin_branches == self.acting_branches:
             return self
         branches = (b if b.plus else replace(b, plus=LOOPS, minus=LOOPS) for b in self.branches)
@@ -610,9 +615,9 @@ class Declaration:
 
     @cached_property
     def branch_laws(self) -> tuple[Tree, ...]:
-        """Two laws of each branch with a flow: storage-free flow, and stored quantity.
+        """Two laws of each branch: the flow without storage terms, the stored quantity.
 
-        The order of the branches is preserved.
+        Measured branches have no laws. The order of the branches is preserved.
         """
         result: list[Tree] = []
         for branch in self.acting_branches:
@@ -621,7 +626,10 @@ class Declaration:
 
     @cached_property
     def power_series(self) -> dict[Tree, str]:
-        """Names of all power series in flows and stored quantities, keyed by expression."""
+        """Names of all power series in the expressions of flows and stored quantities.
+
+        The dictionary maps the expression of each power series to the name of the power series.
+        """
         result: dict[Tree, str] = {}
         for tree in chain.from_iterable(map(walk_tree, self.branch_laws)):
             if isinstance(tree, FunctionCall) and tree.function == "poly":
@@ -744,8 +752,8 @@ class Declaration:
         """Return the direct flow of a branch, which excludes rates of stored quantities.
 
         The direct flow is the force minus the time derivative of the momentum, or the current minus
-        the time derivative of the charge. For a branch whose coordinate is a current, the direct
-        flow is the voltage minus the time derivative of the flux.
+        the time derivative of the charge. For a branch whose coordinate is a current, the function
+        returns the voltage minus the time derivative of the flux.
         """
         if branch == self.heat_branch:
             return subtract_trees(ZERO, self.heat_power)
@@ -761,8 +769,8 @@ class Declaration:
     def _derive_lossy_flow(self, branch: Branch) -> Tree:
         """Return the lossy flow of a branch: the part of the flow that losses cause.
 
-        For a branch whose coordinate is a current, the lossy flow is the voltage across the
-        resistance.
+        For a branch whose coordinate is a current, the function returns the voltage across the
+        resistance instead of a flow.
         """
         slope = self._differentiate_field("content", branch.lossy_variable)
         if not self.heated or branch.name not in self.conductors:
@@ -771,7 +779,7 @@ class Declaration:
         return (multiply_trees if branch.is_flow else divide_trees)(slope, ratio)
 
     def derive_netlist_force(self, branch: Branch) -> Tree:
-        """Derive the force that the netlist writes for a branch, without its inertia.
+        """Derive the force of a branch for the netlist, without the force of inertia.
 
         The netlist replaces each coordinate x in ``lags`` by ``x + lag * x_rate``, so the netlist
         already contains the effect of the rate ``x_rate``. Therefore, the returned force contains

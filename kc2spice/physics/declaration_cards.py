@@ -71,35 +71,37 @@ _COMMENT_TEXTS = {
     "force": "{flow} into {plus}, out of {minus}, 1 V = 1 {unit} on {node}; {word} = "
     "{factor}V({plus},{minus})",
     "direct": "{flow} into {plus}, out of {minus}; {word} = {factor}V({plus},{minus})",
-    "place": "in um on {node}: {plus} minus {minus}{words}",
-    "rate": "velocity of {plus} relative to {minus} [m/s]: the current of 1 uF at this voltage",
+    "place": "displacement in um on {node}: {plus} minus {minus}{words}",
+    "rate": "velocity of {plus} relative to {minus} in m/s: the current of 1 uF at the voltage "
+    "V({plus},{minus})",
     "charge": "{integral} between {plus} and {minus} on the node {node}, 1 V = {scale} {unit}; "
-    "its rate flows from {plus} to {minus}",
+    "its time derivative flows from {plus} to {minus}",
     "flux": "{integral} of the {flow} from {plus} to {minus} on the node {node}, 1 V = {scale} "
-    "{unit}; its rate is a part of the {across}",
-    "mass": "mass of {plus}: velocity on {speed} (1 V = 1 m/s), place on {place} (1 V = 1 um)",
+    "{unit}; its time derivative is one term of the {across}",
+    "mass": "mass of {plus}: velocity on {speed} (1 V = 1 m/s), position on {place} (1 V = 1 um)",
     "shake": "{plus} accelerates the frame of {speed} (1 V = 1 m/s2) and draws the required "
     "force",
-    "held": "the force on {node} (1 V = 1 N) accelerates the mass so that {plus} = {place}; at "
-    "an operating point another part determines {plus}",
+    "held": "the constraint force on {node} (1 V = 1 N) accelerates the mass so that {plus} = "
+    "{place}; at an operating point, another part determines {plus}",
     "output": "{plus} in um: {words}",
     "heat": "the losses flow out of {plus}, relative to {minus}: 1 A is 1 W",
-    "state": "a state: its rate times 1 uF flows into {node}; 1 POhm sets it at an operating "
-    "point if no other part does",
+    "state": "a state: its time derivative times 1 uF flows into {node}; 1 POhm defines its DC "
+    "value if no other part does",
     "noise": "thermal noise of a loss, 4 k T times {loss}, which this resistor provides",
-    "leak": "this current gives a floating net an operating point; its {integral} decays within "
-    "{seconds} s",
-    "cell": "{cell} is the argument of the lookups, in cells; {weight} is the weight t (1 - t), "
-    "in which t increases from 0 to 1 within each cell",
-    "lookup": "A lookup is f(s) - w b(s) with the cell s and the weight w: f interpolates the "
-    "values at {points} arguments, and b half of their second differences. Value and slope "
-    "are continuous. Points of b on a line through their neighbours are left out. Beyond "
-    "both ends a lookup is constant. NAME_slope is the derivative of the table NAME with "
-    "respect to its argument.",
-    "linkage": "flux linkage from {plus} to {minus} of all currents on {node}, 1 V = {scale} "
-    "Wb; its rate is the voltage without those of resistance and motion",
-    "current": "current from {plus} to {minus}, 1 V = 1 A on {node}: the flux linkages times "
-    "the inverse inductances, each the sum of its mean and a lookup",
+    "leak": "this current defines the operating point of a floating net; the {integral} of the "
+    "net decays with the time constant {seconds} s",
+    "cell": "{cell} is the argument of the lookup tables in units of table_step; {weight} is the "
+    "weight t*(1-t), where t rises from 0 to 1 between two adjacent points",
+    "lookup": "A lookup table has the value f(s) - w b(s), with its argument s in units of "
+    "table_step and the weight w. f is the linear interpolation of the values at {points} "
+    "points. b is the linear interpolation of half of the second differences of these values; "
+    "points of b on the straight line between their neighbours are omitted. The value and its "
+    "first derivative are continuous. Outside the table range, the value is constant. NAME_slope "
+    "is the derivative of the table NAME with respect to its argument.",
+    "linkage": "flux linkage of the coil {plus}-{minus} due to all currents on {node}, 1 V = "
+    "{scale} Wb; its time derivative is the coil voltage minus resistive and motional voltage",
+    "current": "current from {plus} to {minus}, 1 V = 1 A on {node}: the inverse inductance "
+    "matrix times the flux linkages; each matrix element is its mean plus a lookup table",
     "edge": "a switch that only makes ngspice place a time point where {argument} is zero",
 }  # fmt: skip
 
@@ -128,7 +130,7 @@ def _write_items(
         yield Parameters({name: f"{{{format_tree(tree)}}}"})
     nodes, rest = _list_variable_trees(declaration), get_reference_pin_name(declaration)
     linkages = find_flux_linkages(declaration)
-    lookups = Lookups(tables, _list_laws(declaration, linkages), rest)
+    lookups = Lookups(tables, _list_laws_with_tables(declaration, linkages), rest)
     if lookups.argument:
         nodes = {
             **nodes,
@@ -191,8 +193,10 @@ def _list_inner_voltages(
     return {name: CircuitVariable("v", (node,)) for name, node in inner.items()}
 
 
-def _list_laws(declaration: Declaration, linkages: FluxLinkages | None) -> tuple[Tree, ...]:
-    """Return the laws that may contain tables: forces and voltages induced by motion.
+def _list_laws_with_tables(
+    declaration: Declaration, linkages: FluxLinkages | None
+) -> tuple[Tree, ...]:
+    """List the laws that may contain tables: forces, and voltages induced by motion.
 
     Raises
     ------
@@ -238,7 +242,7 @@ def _write_lookups(lookups: Lookups, nodes: Mapping[str, Tree]) -> Iterator[Line
     yield Element.from_words(f"R{WEIGHT_NODE}", WEIGHT_NODE, base, "1")
     for calls in lookups.repeated:
         yield f"* {lookups.describe_lookup(calls)}"
-        values = lookups.evaluate_tables(make_weighted_sum(calls))
+        values = lookups.evaluate_at_table_points(make_weighted_sum(calls))
         yield from _write_lookup(lookups.labels[calls], lookups, values)
 
 
@@ -252,7 +256,7 @@ def _write_lookup(name: str, lookups: Lookups, values: np.ndarray) -> Iterator[L
 def _write_linkages(
     linkages: FluxLinkages, lookups: Lookups, nodes: Mapping[str, Tree]
 ) -> Iterator[Line]:
-    """Yield the cards of branch currents as functions of the flux linkages.
+    """Write cards of flux linkages, and of the branch currents that they determine.
 
     The flux linkages are states of the netlist. Each inverse inductance is the sum of its mean,
     which has a separate card, and a lookup. The iteration of ngspice starts with 0 V at the lookup
@@ -262,7 +266,8 @@ def _write_linkages(
     mean, count = inverse.mean(axis=0), len(linkages.branches)
     for k, l in combinations_with_replacement(range(count), 2):
         name = _name_inverse_node(k, l)
-        yield f"* {name}: {henry:.6g} H times the inverse inductances, minus their mean"
+        element = f"element ({k + 1}, {l + 1}) of the inverse inductance matrix"
+        yield f"* {name}: {henry:.6g} H times {element}, minus its mean"
         yield from _write_lookup(name, lookups, (inverse - mean)[:, k, l])
     for k, branch in enumerate(linkages.branches):
         motion = substitute_names(add_trees(*lookups.split_law(linkages.motion_voltages[k])), nodes)
@@ -420,7 +425,7 @@ def _write_mass(declaration: Declaration, b: Branch) -> Iterator[Line]:
 
 
 def _list_variable_trees(declaration: Declaration) -> Mapping[str, Tree]:
-    """Return an expression of circuit variables for each variable of a declaration.
+    """List expression trees in circuit variables for all variables of a declaration.
 
     The keys are the names of coordinates, rates, states, signals and power series. The circuit
     variables are node voltages and source currents.
@@ -534,7 +539,7 @@ def _write_states(declaration: Declaration, nodes: Mapping[str, Tree]) -> Iterat
 
 
 def _write_law(declaration: Declaration, tree: Tree, nodes: Mapping[str, Tree]) -> str:
-    """Return an expression as card text, with node voltages in place of variables."""
+    """Write a law as card text, with node voltages in place of the law's variables."""
     return format_tree(substitute_names(declaration.replace_power_series(tree), nodes))
 
 
@@ -583,7 +588,7 @@ def _write_coordinate(declaration: Declaration, b: Branch) -> Iterator[Line]:
     """
     n, base, lag = b.name, get_reference_pin_name(declaration), declaration.lags.get(b.name)
     node = f"in_{n}" if lag else f"x_{n}"
-    words = f" less {b.less}" * bool(b.less) + f" + {lag} times its rate" * bool(lag)
+    words = f" minus {b.less}" * bool(b.less) + f" + {lag} times its time derivative" * bool(lag)
     yield _format_comment("place", b, node=f"x_{n}", words=words)
     yield Element.from_words(f"G{node}", base, node, b.plus, b.minus, "1")
     if b.less:
@@ -730,7 +735,7 @@ def _write_current_branch(
             f"Hl_{b.name}", inner, f"rest_{b.name}", f"Vrate_{b.name}", f"{{scale_{b.name}*1e6}}"
         )
         inner = f"rest_{b.name}"
-    yield f"*   {across} without that of the {integral} = {format_tree(drop)}"
+    yield f"*   {across} minus the time derivative of the {integral} = {format_tree(drop)}"
     law = _write_law(declaration, multiply_trees(unit, add_trees(drop, noise)), nodes)
     yield Element.behavioural_source(f"Bv_{b.name}", inner, b.minus, "V", law)
 

@@ -95,7 +95,9 @@ class FluxLinkages:
         At each point of the lookups, the array (points, n, n) contains the inverse inductance
         matrix, multiplied by the mean self-inductance.
         """
-        rows = [[lookups.evaluate_tables(tree) for tree in row] for row in self.inductances]
+        rows = [
+            [lookups.evaluate_at_table_points(tree) for tree in row] for row in self.inductances
+        ]
         matrix = np.moveaxis(np.array(rows), 2, 0)
         mean = float(np.mean(np.diagonal(matrix, axis1=1, axis2=2)))
         return mean, mean * np.linalg.inv(matrix)

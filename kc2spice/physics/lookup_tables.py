@@ -117,8 +117,8 @@ class Lookups:
             self.low, high, self.points = next(iter(ranges))
             self.step = (high - self.low) / (self.points - 1)
 
-    def evaluate_tables(self, tree: Tree) -> np.ndarray:
-        """Evaluate an expression that contains tables, at all points of the tables.
+    def evaluate_at_table_points(self, tree: Tree) -> np.ndarray:
+        """Evaluate an expression with lookup tables at all points of these tables.
 
         The returned values are an array of shape (points,).
         """
@@ -144,7 +144,9 @@ class Lookups:
             result[label] = (
                 CircuitVariable("v", (label,))
                 if calls in self.repeated
-                else self.write_interpolation(self.evaluate_tables(make_weighted_sum(calls)))
+                else self.write_interpolation(
+                    self.evaluate_at_table_points(make_weighted_sum(calls))
+                )
             )
         return result
 

@@ -25,7 +25,11 @@ from kc2spice.netlist.number_and_name_spelling import (
 )
 from kc2spice.netlist.number_and_name_spelling import require_name as checked
 from kc2spice.netlist.subcircuit_library import Subcircuit
-from kc2spice.physics.conductors import get_conductor_values, is_heated, list_useless_key_errors
+from kc2spice.physics.conductors import (
+    get_temperature_coefficient,
+    is_heated,
+    list_useless_key_errors,
+)
 from kc2spice.physics.declaration import Branch, Declaration
 from kc2spice.physics.declaration_cards import (
     NO_TABLES,
@@ -73,7 +77,8 @@ if TYPE_CHECKING:
 # In tests, two to nine impacts on a stop caused errors of up to 20 % in the results of a run.
 MAX_IMPACTS = 1.0
 REBOUND_ADVICE = (
-    "what follows may hang on every step: error_budget estimates the error of each metric"
+    "impacts make the results sensitive to each time step: set error_budget to estimate the error "
+    "of each metric"
 )
 _INNER_PREFIXES = "f|x|in|q|l|rest|copy|sense|first|second|noise|speed|place|pushed|state|lookup"
 _INNER_NODE_PATTERN = rf"(?:{_INNER_PREFIXES})_.+|(?:edge|poly)\d+|tick"  # names of inner nodes
@@ -81,9 +86,9 @@ _MAX_UNEXPLAINED_SHARE = 1e-3  # largest accepted relative error of the energy b
 
 
 def list_newton_numerics(part: Part, scene: DeclaredScene) -> Iterator[NumericalRequirements]:
-    """Yield the requirement of a smaller Newton tolerance in a dc or op analysis."""
+    """List the numerical requirement of ``dc`` and ``op``: a smaller Newton tolerance."""
     if scene.analysis.type in ("dc", "op"):
-        change = "1e-6", "change at which Newton's method stops: nonlinear parts"
+        change = "1e-6", "convergence tolerance of Newton's method: nonlinear parts"
         yield NumericalRequirements(part.name, options={"reltol": change})
 
 
@@ -108,7 +113,10 @@ class DeclaredPart(PartType[KeysT]):
     # --- pins and netlist -------------------------------------------------------------------------
 
     def make_declaration(self, part: Part[KeysT], scene: GovernedScene) -> Declaration:
-        """Return the declaration of a part; by default the declaration of the part type."""
+        """Make the declaration of a part: its branches, energies and losses.
+
+        By default, all parts of a part type have the same declaration.
+        """
         return self.declaration
 
     def declare_after_build(self, part: Part[KeysT], build: BuiltScene) -> Declaration:
@@ -160,7 +168,7 @@ class DeclaredPart(PartType[KeysT]):
         return tuple(d.speeds.get(b.plus, b.plus) for b in d.inertial_branches)
 
     def equilibrium_conditions(self, part: Part[KeysT], scene: WiredScene) -> EquilibriumConditions:
-        """Return the equilibrium conditions: the branches that let a steady flow pass.
+        """Return the pin pairs between which the part can transmit a steady flow.
 
         A branch transmits a steady flow, such as a constant force or current, if the branch has a
         stiffness at rest, or if its coordinate is a flow.
@@ -200,7 +208,7 @@ class DeclaredPart(PartType[KeysT]):
     # --- results ----------------------------------------------------------------------------------
 
     def vectors(self, part: Part[KeysT], build: BuiltScene) -> Mapping[str, PartResult]:
-        """Return the ngspice expression of each result of the part, keyed by result name."""
+        """Return the ngspice vectors: expressions of the part's results, keyed by name."""
         result, d = {}, self.declare_built_part(part, build)
         for b in d.branches:
             if b.plus and {_get_node_name(build, part, pin) for pin in (b.plus, b.minus)} != {"0"}:
@@ -265,7 +273,13 @@ class DeclaredPart(PartType[KeysT]):
                 met = evaluate_tree(tree, d.compute_parameter_values(part.keys) | known) > 0
                 strikes = float(np.count_nonzero(met[1:] & ~met[:-1]))
                 yield Check(
-                    f"strikes of {part.name}", strikes, MAX_IMPACTS, "", REBOUND_ADVICE, "warn"
+                    f"strikes of {part.name}",
+                    strikes,
+                    MAX_IMPACTS,
+                    "",
+                    REBOUND_ADVICE,
+                    "warn",
+                    label=f"impacts in {part.name}",
                 )
 
     def check_operating_point(
@@ -318,7 +332,7 @@ def _attach_heat_pin(declaration: Declaration, part: Part) -> Declaration:
     """
     if not declaration.offers_heat_pin:
         return declaration
-    coefficient, reference = get_conductor_values(part.keys)
+    coefficient, reference = get_temperature_coefficient(part.keys)
     return declaration.with_heat_pin(coefficient, reference)
 
 
@@ -333,7 +347,9 @@ def _check_limits(
             )
             advice = f"{d.limits[what]} must stay above zero"
             beyond = max(-value, 0.0)
-            yield Check(f"{what} of {part.name}{where}", beyond, 0.0, "beyond the limit", advice)
+            name = f"{what} of {part.name}{where}"
+            label = f"{name.removeprefix('the ')}, amount below zero"
+            yield Check(name, beyond, 0.0, "beyond the limit", advice, label=label)
 
 
 def _get_node_name(build: BuiltScene, part: Part, pin: str) -> str:
@@ -557,8 +573,8 @@ def balance_energy(
     brought = brought + _compute_step_work(forces, rise + heat - brought, jumps=bool(slopes))
     missing = np.cumsum(brought - heat - rise)
     entries = {
-        "brought in by pins": float(brought.sum()),
-        "heat" if given_off is None else f"given off by the pin {HEAT}": float(heat.sum()),
+        "supplied through the pins": float(brought.sum()),
+        "heat" if given_off is None else f"delivered as heat at the pin {HEAT}": float(heat.sum()),
         "stored": float(stored[-1]),
     }
     if stored[0] != 0.0:

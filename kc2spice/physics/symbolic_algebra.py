@@ -95,7 +95,7 @@ def parse_simplified(text: str, where: str = "expression", tables: tuple[str, ..
             case FunctionCall(name, _):
                 functions = (*_RESTRICTED_FUNCTIONS, *_FUNCTION_DERIVATIVES, *tables)
                 raise UsageError(
-                    "declarations do not support this function",
+                    "expressions in the declaration of a part do not support this function",
                     where=where,
                     got=name,
                     expected="one of " + list_candidates(name, functions, _HELP_PAGE),
@@ -104,10 +104,11 @@ def parse_simplified(text: str, where: str = "expression", tables: tuple[str, ..
                 )
             case ConditionalExpression() | CircuitVariable():
                 raise UsageError(
-                    "this text is not an expression of names, numbers and functions",
+                    "this expression contains a condition or a circuit variable such as V(a)",
                     where=where,
                     got=text,
-                    hint="replace a condition such as x > 0 by max(0, x)",
+                    expected="only names, numbers, operators and functions",
+                    hint="for a condition, write above(x), which is 1 for x > 0 and otherwise 0",
                 )
     try:
         return simplify(_replace_step_functions(tree))
@@ -503,8 +504,9 @@ def split_calls(
 ) -> tuple[list[tuple[Tree, WeightedCalls]], Tree]:
     """Split an expression into terms with calls of ``functions``, and remaining terms.
 
-    Each term with calls is a pair: a factor, and a weighted sum of calls. The first weight of each
-    sum is 1. The remaining terms are returned as a single sum.
+    Each term that contains calls of ``functions`` is returned as a pair: a factor, and a weighted
+    sum of the calls. The first weight of each sum is 1. The remaining terms are returned as a
+    single sum.
 
     Raises
     ------

@@ -195,7 +195,7 @@ def integrate_steps(
         for k in law.storing_flow_indices:
             waves.pop(f"{law.name}.{law.flows[k].pin}.through", None)
     return FixedStepResult(
-        time, {"time": time} | waves, list(map(march.get_device_modes, intervals))
+        time, {"time": time} | waves, list(map(march.get_switching_states, intervals))
     )
 
 
@@ -221,7 +221,7 @@ class _StepIntegrator:
         """Make the interval that begins at time ``t`` with the present switching states."""
         return Interval(self.system, list(self.modes), t)
 
-    def get_device_modes(self, interval: Interval) -> tuple[Any, ...]:
+    def get_switching_states(self, interval: Interval) -> tuple[Any, ...]:
         """Return the switching states of all devices except bodies in one time interval.
 
         The mode of a device states which pieces of its piecewise equations apply.

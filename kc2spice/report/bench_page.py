@@ -70,14 +70,14 @@ def format_recommendation(record: Mapping[str, Any]) -> list[tuple[str, str]]:
     best, reference = record["recommended"], record["reference"]
     rows = [
         ("error of", _list_metrics(record["metrics"])),
-        ("the scene as it is", _format_error_and_cpu_time(current)),
+        ("unmodified scene", _format_error_and_cpu_time(current)),
     ]
     if best is None:
         nearest = min(record["points"], key=lambda p: max(p["error"], p["bound"]))
         rows.append((f"within {record['limit']:g}", "none of the settings"))
         rows.append(("nearest", f"{nearest['label']}: {_format_error_and_cpu_time(nearest)}"))
     else:
-        words = " ".join(map(shlex.quote, best["set"])) or "the scene as it is"
+        words = " ".join(map(shlex.quote, best["set"])) or "no change: the unmodified scene"
         rows.append((f"cheapest within {record['limit']:.2g}", words))
         rows.append(("", _format_error_and_cpu_time(best)))
     rows.append(
@@ -85,7 +85,7 @@ def format_recommendation(record: Mapping[str, Any]) -> list[tuple[str, str]]:
     )
     rows.append(("uncertainty of the reference", f"{reference['error']:.1e}"))
     if (estimate := record["estimate"]) is not None:
-        what = "error estimate of the scene as it is"
+        what = "error estimate of the unmodified scene"
         rows.append((what, f"{estimate['error']:.1e}, meshes and tables included"))
     for name, change in record["left_out"].items():
         why = "no value" if change is None else f"changes by {change:.1e} at the finest settings"
@@ -117,7 +117,7 @@ def plot_bench(record: Mapping[str, Any]) -> Figure:
     curves = [
         _plot_time_versus_error("settings", points),
         _plot_time_versus_error("front", front, "step"),
-        _plot_time_versus_error("the scene as it is", list(filter(itemgetter("own"), points))),
+        _plot_time_versus_error("unmodified scene", list(filter(itemgetter("own"), points))),
     ]
     if best is not None:
         curves.append(_plot_time_versus_error("recommended", [best]))

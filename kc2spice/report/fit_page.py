@@ -42,12 +42,12 @@ def write_fit(path: Path, record: Mapping[str, Any], curves: Sequence[PlottedCur
     for curve in curves:
         figures = plot_fit(curve.f, curve.measured, curve.before, curve.after)
         sections.append(PageSection(curve.name, figures=figures))
-    export = "--set fit.toml writes a netlist with these keys"
+    export = "--set fit.toml writes a netlist with the fitted values"
     if record["models"]:
-        export = "--set fit.toml --set box.toml writes a netlist with these keys as parameters"
+        export = "--set fit.toml --set box.toml writes a netlist with the fitted keys as parameters"
     lead = (
-        f"The values for which {record['part']} is that of {Path(record['data']).name}. Export "
-        f"with {export}."
+        f"Values for which the model of {record['part']} best matches the measurement "
+        f"{Path(record['data']).name}. The command kc2spice export SCENE {export}."
     )
     write_page(path, f"{record['part']}, fitted", lead, sections)
 
@@ -61,7 +61,7 @@ def format_fit(record: Mapping[str, Any]) -> list[PageSection]:
         PageSection("Fit", _format_quality(record)),
         PageSection("Resonances", list(map(_make_number_row, record["resonances"])),
                     ("measured in Hz", "at the scene's values", "fitted"),
-                    note="peaks of the conductance, in their order"),
+                    note="peaks of the conductance, in ascending order of frequency"),
         PageSection("Starts", list(map(_make_number_row, record["starts"])),
                     (*keys, "half the sum of squares")),
         PageSection("Correlation", list(map(_make_correlation_row, keys, record["correlation"])),
@@ -147,5 +147,8 @@ def plot_fit(
         Panel(x, "phase in °", plot_curves(lambda z: np.angle(z, deg=True))),
         Panel(x, "difference of |Z| in %", (left,)),
     )
-    caption = "Measured impedance, that of the scene's values and that of the fitted ones."
+    caption = (
+        "Impedance: measured, computed with the values of the scene, and computed with the fitted "
+        "values."
+    )
     return (Figure("fit", "Impedance", caption, panels),)

@@ -18,7 +18,8 @@ from typing import Any
 
 from kc2spice.core import __version__
 from kc2spice.core.figure import Figure
-from kc2spice.core.si_prefix_format import format_quantity
+from kc2spice.core.mesh_error_descriptions import MESH_ERROR_PREFIX
+from kc2spice.core.si_prefix_format import format_percent, format_quantity
 from kc2spice.netlist.number_and_name_spelling import get_template_environment
 from kc2spice.report.charts import render_figure
 
@@ -31,14 +32,47 @@ _LABEL_WORDS = {
     "lm": "Lm",
     "cm": "Cm",
 }
-# Labels of resonances; the labels include the electrical condition.
+# Labels of values whose keys do not state the condition, the reference or the kind of value.
 _LABELS = {
     "resonance_short_hz": "natural frequency, electrodes shorted",
     "resonance_open_hz": "natural frequency, electrodes open",
-    "resonance_hz": "series resonance of the impedance",
-    "antiresonance_hz": "parallel resonance of the impedance",
+    "resonance_hz": "series resonance",
+    "antiresonance_hz": "parallel resonance",
     "largest_impedance_hz": "frequency of the largest impedance",
+    "capacitance_free_f": "free capacitance, static",
+    "capacitance_clamped_f": "clamped capacitance, static",
+    "coupling": "effective coupling factor",
+    "nodal_circle_m": "nodal circle, diameter",
+    "level_error_db": "uncertainty of the level",
+    "unknowns": "unknowns of the full model",
+    "mesh_limit_hz": "mesh resolves waves up to",
+    "force_max_n": "largest force",
+    "coil_mutual_h": "mutual inductance of the coils",
+    "coil_temperature_rise_k": "coil temperature rise, peak",
+    "coil_resistance_ratio": "coil resistance ratio, peak",
+    "coil_heat_j": "heat dissipated in the coils",
+    "kick_stroke_m": "kick stroke, peak",
+    "final_position_m": "final height",
+    "final_error_m": "set point minus final height",
+    "hold_current_a": "mean hold current at the end",
+    "launch_time_s": "time of launch",
+    "still_rising": "sphere still rising at the end",
+    "order": "states",
+    "mesh_error_resonance": "mesh error, first resonance",
+    "mesh_error_modes": "mesh error, worst of the lowest modes",
+    "massless": "residual modes without mass",
+    "method": "error estimated as",
+    "band_hz": "band",
+    "norm": "error relative to",
 }
+# Beginnings of keys, with the words that replace them.
+_LABEL_PREFIXES = {
+    "area_": "area of ",
+    "free_stroke_": "free stroke of ",
+    MESH_ERROR_PREFIX: "mesh error, ",
+}
+# Beginnings of the keys of ratios that are printed in percent.
+_PERCENT_KEYS = (MESH_ERROR_PREFIX, "error_estimate", "efficiency")
 # Suffixes of keys in `result.json` that denote a unit, keyed by unit.
 _UNIT_SUFFIXES = {
     "m per 100 V": "_m_per_100v", "m/V": "_m_per_v", "m/s": "_m_s", "V/m": "_v_m", "N/m": "_n_m",
@@ -49,6 +83,11 @@ _QUANTITIES = {
     "s": "time", "m": "position", "m/s": "velocity", "Hz": "frequency", "V": "voltage",
     "A": "current", "N": "force", "J": "energy",
 }  # fmt: skip
+# Explanations of the values of metrics, keyed by metric.
+_VALUE_NOTES = {"level_error_db": "root sum of squares, without the baffle row"}
+# Keys of metrics whose value is the half-width of an interval.
+_HALF_WIDTHS = {"level_error_db"}
+HALF_WIDTH_DIGITS = 2  # significant digits of the half-width of an interval
 MAX_ROW_VALUES = 8  # a longer list is replaced by the number of values
 
 
@@ -70,10 +109,23 @@ def flatten_mapping(value: Any, joint: str = ".", path: str = "") -> Iterator[tu
 
 
 def label_key(key: str, unit: str = "") -> str:
-    """Return a readable label for a key of ``result.json``, without its unit."""
-    suffix = _UNIT_SUFFIXES.get(unit, f"_{unit.lower()}" if unit else "")
-    words = (_LABEL_WORDS.get(word, word) for word in key.removesuffix(suffix).split("_"))
-    return _LABELS.get(key) or " ".join(words)
+    """Return a readable label for a key of ``result.json``, without its unit.
+
+    Examples
+    --------
+    >>> label_key("free_stroke_ring0_m_per_v", "m/V"), label_key("force_max_n", "N")
+    ('free stroke of ring0', 'largest force')
+    """
+    if key in _LABELS:
+        return _LABELS[key]
+    name, prefix = (
+        key.removesuffix(_UNIT_SUFFIXES.get(unit, f"_{unit.lower()}" if unit else "")),
+        "",
+    )
+    for beginning, replacement in _LABEL_PREFIXES.items():
+        if name.startswith(beginning):
+            name, prefix = name.removeprefix(beginning), replacement
+    return prefix + " ".join(_LABEL_WORDS.get(word, word) for word in name.split("_"))
 
 
 def distinguish_labels(labels: Mapping[str, str], units: Mapping[str, str]) -> dict[str, str]:
@@ -96,10 +148,18 @@ def distinguish_labels(labels: Mapping[str, str], units: Mapping[str, str]) -> d
 
 
 def format_metric(key: str, value: Any, unit: str = "") -> tuple[str, str]:
-    """Return the label of a metric, and its value with unit, as two strings."""
+    """Return the label of a metric, and its value with unit, as two strings.
+
+    The half-width of an interval has a sign, such as ±7.1 dB.
+    """
     values = value if isinstance(value, (list, tuple)) else [value]
     if len(values) > MAX_ROW_VALUES:
         return label_key(key, unit), f"{len(values)} values, in result.json"
+    if key in _HALF_WIDTHS and isinstance(value, float):
+        text = f"±{format_quantity(value, unit, HALF_WIDTH_DIGITS)}"
+        return label_key(key, unit), ", ".join(filter(None, (text, _VALUE_NOTES.get(key))))
+    if key.startswith(_PERCENT_KEYS) and not unit:
+        return label_key(key), ", ".join(map(format_percent, values))
     return label_key(key, unit), ", ".join(format_value(item, unit) for item in values)
 
 

@@ -20,7 +20,7 @@ from kc2spice.scene.settings import ProbeKeys
 
 # the frequency axis is logarithmic if (highest / lowest frequency) exceeds this ratio
 WIDE_RANGE = 20.0
-PROBES_CAPTION = "Results that the probes of the scene select, over the whole run."
+PROBES_CAPTION = "Results, over the whole run, from which the probes of the scene compute metrics."
 
 
 def plot_probes(

@@ -8,12 +8,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from itertools import chain
 from operator import attrgetter, itemgetter
 from pathlib import Path
 from typing import Any
 
+from kc2spice.core.domains import ACCELERATION
 from kc2spice.core.figure import Figure
-from kc2spice.core.si_prefix_format import ROUNDING_NOISE, format_quantity, format_value_and_limit
+from kc2spice.core.mesh_error_descriptions import MESH_ERROR_PREFIX
+from kc2spice.core.si_prefix_format import (
+    ROUNDING_NOISE,
+    format_percent,
+    format_quantity,
+    format_value_and_limit,
+    remove_unit_words,
+)
 from kc2spice.report.drawings import draw_circuit, draw_side_view, write_side_view_caption
 from kc2spice.report.html import (
     MAX_ROW_VALUES,
@@ -21,8 +30,8 @@ from kc2spice.report.html import (
     distinguish_labels,
     flatten_mapping,
     format_metric,
-    format_times,
     format_value,
+    label_key,
     write_page,
 )
 from kc2spice.scene.scene_classes import Scene, compute_scene_hash
@@ -36,23 +45,42 @@ NETS_NOTE = (
     "the nets are those of the netlist."
 )
 FIGURES_NOTE = (
-    "Move the pointer to read values, drag to enlarge, double-click to see all; click a name of a "
-    "legend to hide its curve. A shaded curve is the envelope of more cycles than the screen "
-    "resolves."
+    "Hover to read values, drag to zoom in, double-click to reset the zoom; click a legend entry "
+    "to hide its curve. A shaded curve is the envelope of more cycles than the screen resolves."
 )
 OPERATING_NOTE = (
-    "About which the small signals are linear; results that are zero there are left out."
+    "The small-signal analysis linearises the circuit about the operating point. Results that are "
+    "zero at the operating point are omitted."
 )
 CHECKS_NOTE = (
-    "Laws of physics that the netlist does not contain. The last column states the effect of a "
-    "violation."
+    "Independent checks of the results against physical laws and limits that the netlist does not "
+    "enforce. Percentages are relative: result.json gives the reference value of each percentage."
 )
+# Effect of a violated check on the run, keyed by the action of the check.
+VIOLATION_EFFECTS = {"warn": "warning", "fail": "error"}
+# Values that probes compute from a waveform, in words.
+PROBE_WORDS = {
+    "max": "maximum", "min": "minimum", "final": "final value", "mean": "mean", "rms": "rms",
+    "peak_to_peak": "peak-to-peak", "spl": "sound pressure level", "frequency": "frequency",
+}  # fmt: skip
+NORM_WORDS = {
+    "pointwise": "the response at each frequency",
+    "peak": "the largest response in the band",
+}
+MODEL_STAGES = ("mesh", "assemble", "reduce", "magnetics")  # stages with a cache
+MIN_STAGE_TIME = 0.005  # s; shorter stages would be printed as 0.00 s
 MODES_NOTE = (
-    "Of the reduced model within its band, electrodes shorted, nothing pressing on it. k is the "
-    "effective coupling factor; at other ports stands what the mode adds to the static answer."
+    "Natural modes of the reduced model within its band, with shorted electrodes and without "
+    "external forces. The compliance is the contribution of the mode to the static compliance of "
+    "the port. The coupling factor is the effective coupling factor of an electrical port."
 )
-SETTINGS_NOTE = "Relative errors; a run with error_budget estimates those of all metrics."
-RETRIES_NOTE = "Every setting that was tried; the last one gave this result."
+# Unit of the static response to an acceleration, which is the effective mass divided by omega².
+ACCELERATION_RESPONSE_UNIT = ACCELERATION.compliance
+NOT_ESTIMATED = "not estimated"
+# reason that a run reports for its time-step limit if the scene sets ``solver.max_step``
+STEP_SET_BY_USER = "set by solver.max_step"
+IDEAL_SOURCE = "ideal source"  # origin of the model of an independent source
+RETRIES_NOTE = "All settings that were tried. The result is from the last setting."
 
 Rows = list[tuple[str, str]]
 
@@ -66,7 +94,7 @@ def write_run(
     """
     # the main figures are first; a stable sort keeps the order of all other figures
     figures = sorted(figures, key=attrgetter("main"), reverse=True)
-    energies, modes = result.get("energy_j", {}), result.get("modes", {})
+    energies = result.get("energy_j", {})
     sections = [
         format_summary(result),
         PageSection("Device", drawing=draw_side_view(scene), note=write_side_view_caption(scene)),
@@ -75,7 +103,6 @@ def write_run(
         PageSection("Further figures", figures=figures[1:]),
         *format_results(result),
         *map(_format_energy, energies, energies.values()),
-        *map(_format_modes, modes, modes.values()),
         *format_model_summary(result["plan"], result.get("convergence", {})),
         PageSection("Simulator", _make_simulator_rows(result, scene)),
         PageSection("Files", links=result.get("files", ())),
@@ -88,43 +115,63 @@ def write_run(
 
 def format_results(result: Mapping[str, Any]) -> list[PageSection]:
     """Return the results in ``result.json`` as sections for a page or the terminal."""
-    wall = result.get("wall_s", {})
-    times = {**wall, "sum": sum(wall.values())} if wall else {}
-    checks = list(map(_make_check_row, result.get("checks", ())))
+    checks = sorted(result.get("checks", ()), key=_compute_share_of_limit, reverse=True)
     attempts = result.get("simulator", {}).get("attempts", ())
     tried = list(map(_make_attempt_row, attempts)) if len(attempts) > 1 else []
-    models, units = [], result.get("model_units", {})
+    models, units, modes = [], result.get("model_units", {}), result.get("modes", {})
     for name, facts in result.get("model", {}).items():
-        models.append(PageSection(f"Model: {name}", _make_summary_rows(facts, units.get(name, {}))))
-    metrics = _make_summary_rows(result.get("metrics", {}), result.get("metric_units", {}))
-    check_head = ("", "check", "value", "limit", "action")
+        ordered = dict(sorted(facts.items(), key=_get_fact_order))
+        rows = _make_summary_rows(ordered, units.get(name, {}))
+        models.append(PageSection(f"Model: {name}", rows))
+    check_rows = list(map(_make_check_row, checks))
+    check_head = ("", "check", "value", "limit", "if exceeded")
     attempt_head = ("setting", "changes", "outcome", "blamed", "time")
     return [
-        PageSection("Metrics", metrics),
         PageSection(
             "Operating point", format_operating_point(result), ("result", "value"), OPERATING_NOTE
         ),
-        PageSection("Physics checks", checks, check_head, CHECKS_NOTE),
+        PageSection("Checks, closest to the limit first", check_rows, check_head, CHECKS_NOTE),
         *models,
-        PageSection("Reduced model", _make_certificate_rows(result.get("rom", {}))),
-        PageSection("Retries", tried, attempt_head, RETRIES_NOTE),
-        PageSection(
-            "Wall time", format_times(times), ("stage", "time"), "0 s: taken from the cache."
+        *(
+            PageSection(f"Reduced model: {name}" if name else "Reduced model", rows)
+            for name, rows in _list_certificate_tables(result)
         ),
+        *map(_format_modes, modes, modes.values()),
+        PageSection("Retries", tried, attempt_head, RETRIES_NOTE),
+        PageSection("Run time", _make_time_rows(result), ("stage", "time")),
     ]
+
+
+def _get_fact_order(fact: tuple[str, Any]) -> tuple[bool, bool]:
+    """Return the sort key of a model's value: the size of the model first, mesh errors last."""
+    name, _ = fact
+    return name != "unknowns", name.startswith(MESH_ERROR_PREFIX)
 
 
 def _format_check_value(check: Mapping[str, Any]) -> tuple[str, str]:
     """Format the value and the limit of a check; JSON files contain null for infinity."""
     value = math.inf if check["value"] is None else check["value"]
-    return format_value_and_limit(value, check["limit"], check["unit"])
+    return format_value_and_limit(value, check["limit"], remove_unit_words(check["unit"]))
+
+
+def _compute_share_of_limit(check: Mapping[str, Any]) -> float:
+    """Return the value of a check divided by its limit; infinite for a violated check."""
+    if not check["passed"]:
+        return math.inf
+    return float(check["value"] / check["limit"]) if check["limit"] else 0.0
 
 
 def _make_check_row(check: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return the table row of a physics check: verdict, name, value, limit and action."""
+    """Return the table row of a check: verdict, label, value, limit, effect of a violation."""
     value, limit = _format_check_value(check)
     mark = "ok" if check["passed"] else "VIOLATED"
-    return mark, _label_check(check), value, limit, check["action"]
+    effect = VIOLATION_EFFECTS.get(check["action"], check["action"])
+    return mark, _get_check_label(check), value, limit, effect
+
+
+def _get_check_label(check: Mapping[str, Any]) -> str:
+    """Return the label of a check; records of earlier versions contain only the name."""
+    return str(check.get("label", check["name"]))
 
 
 def _make_attempt_row(attempt: Mapping[str, Any]) -> tuple[str, ...]:
@@ -139,12 +186,61 @@ def _make_attempt_row(attempt: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def _make_certificate_rows(certificate: Mapping[str, Any]) -> Rows:
-    """Return table rows of a certificate, followed by the errors above the band."""
+    """Make table rows of a reduced model's certificate and its errors above the band.
+
+    The row of the key ``method`` contains only the text before the first semicolon.
+    """
     facts = {}
     for name, value in certificate.items():
         if value is not None and not name.startswith("above_band"):
             facts[name] = value
-    return [*_make_summary_rows(facts, {"band_hz": "Hz"}), *format_above_band(certificate)]
+    if not facts.get("massless"):
+        facts.pop("massless", None)
+    if "band_hz" in facts:
+        facts["band_hz"] = _format_band(facts["band_hz"])
+    if "method" in facts:
+        facts["method"] = facts["method"].partition(";")[0]
+    if "norm" in facts:
+        facts["norm"] = NORM_WORDS.get(facts["norm"], facts["norm"])
+    return [*_make_summary_rows(facts, {}), *format_above_band(certificate)]
+
+
+def _list_certificate_tables(result: Mapping[str, Any]) -> list[tuple[str, Rows]]:
+    """List the certificate table of each reduced model: its part name and its rows."""
+    tables = []
+    for name, certificate in _get_reduced_model_records(result).items():
+        tables.append((name, _make_certificate_rows(certificate)))
+    return tables
+
+
+def _get_reduced_model_records(result: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
+    """Return the record of each reduced model in ``result.json``, keyed by part name.
+
+    The key is empty if ``result.json`` does not contain the name of the part.
+    """
+    if not result.get("rom"):
+        return {}
+    if result.get("roms"):
+        return dict(result["roms"])
+    names = list(result.get("modes", {}))
+    return {names[0] if len(names) == 1 else "": result["rom"]}
+
+
+def _format_band(band: Sequence[float]) -> str:
+    """Format a frequency band, such as ``504 Hz to 16.8 kHz``."""
+    low, high = (format_quantity(frequency, "Hz", 3) for frequency in band)
+    return f"{low} to {high}"
+
+
+def _make_time_rows(result: Mapping[str, Any]) -> Rows:
+    """Return table rows with the wall times of all stages that took time, and their sum."""
+    wall = result.get("wall_s", {})
+    if not wall:
+        return []
+    rows = [(stage, time) for stage, time in wall.items() if time >= MIN_STAGE_TIME]
+    cached = result.get("model") and not any(wall.get(stage) for stage in MODEL_STAGES)
+    texts = [(stage, f"{time:.2f} s") for stage, time in [*rows, ("total", sum(wall.values()))]]
+    return [("models", "from the cache"), *texts] if cached else texts
 
 
 def format_operating_point(result: Mapping[str, Any], most: int | None = None) -> Rows:
@@ -171,19 +267,14 @@ def _limit_rows(rows: Rows, most: int | None, kind: str) -> Rows:
     """
     if most is None or len(rows) <= most:
         return rows
-    return [*rows[:most], (f"further {kind}", f"{len(rows) - most}, in the report")]
-
-
-def _label_check(check: Mapping[str, Any]) -> str:
-    """Return the name of a check with blanks instead of underscores."""
-    name: str = check["name"]
-    return name if " " in name else name.replace("_", " ")
+    return [*rows[:most], (f"further {kind}", f"{len(rows) - most}, printed with --verbose")]
 
 
 def format_summary(result: Mapping[str, Any], most: int | None = None) -> PageSection:
     """Return the summary of a run: verdict, scalar metrics and error estimates.
 
-    ``most`` is the largest number of metrics in the summary.
+    ``most`` is the largest number of metrics in the summary. By default, the summary contains all
+    metrics, and also short lists of numbers.
     """
     checks = result.get("checks", ())
     left_out = result.get("plan", {}).get("left_out", ())
@@ -195,7 +286,8 @@ def format_summary(result: Mapping[str, Any], most: int | None = None) -> PageSe
     rows = [
         ("checks", format_verdict(checks)),
         *map(_make_violation_row, violated),
-        *_limit_rows(_make_metric_rows(result), fewer, "metrics"),
+        *(("WARNING", text) for text in result.get("metric_warnings", {}).values()),
+        *_limit_rows(_make_metric_rows(result, with_lists=most is None), fewer, "metrics"),
         *map(itemgetter("effect", "error"), assumed),
         *((f"at the operating point: {name}", text) for name, text in point),
         *_make_model_rows(result),
@@ -204,39 +296,44 @@ def format_summary(result: Mapping[str, Any], most: int | None = None) -> PageSe
 
 
 def _make_violation_row(check: Mapping[str, Any]) -> tuple[str, str]:
-    """Return the summary row of a violated check: name, value and limit."""
+    """Return the summary row of a violated check: label, value and limit."""
     value, limit = _format_check_value(check)
-    # A unit of several words is written after the value, and not repeated after the limit.
-    if " " in check["unit"]:
-        limit = limit.removesuffix(f" {check['unit']}")
-    return "VIOLATED", f"{_label_check(check)}: {value}, limit {limit}"
+    return "VIOLATED", f"{_get_check_label(check)}: {value}, limit {limit}"
 
 
-def _make_metric_rows(result: Mapping[str, Any]) -> Rows:
-    """Return table rows of the scalar metrics with error estimates."""
-    units = result.get("metric_units", {})
+def _make_metric_rows(result: Mapping[str, Any], *, with_lists: bool) -> Rows:
+    """Return table rows of the metrics, with error estimates and definitions of probes.
+
+    A metric with a warning is omitted, because the summary prints the warning.
+    """
+    units, probes = result.get("metric_units", {}), result.get("probes", {})
     errors = result.get("convergence", {}).get("errors", {})
-    leaves = flatten_mapping(result.get("metrics", {}))
-    metrics = {name: value for name, value in leaves if _is_scalar(value)}
+    warned, metrics = result.get("metric_warnings", {}), {}
+    for name, value in flatten_mapping(result.get("metrics", {})):
+        is_shown = _is_scalar(value) or (with_lists and _fits_one_row(value))
+        if is_shown and name not in warned:
+            metrics[name] = value
     scales = _find_largest_by_unit(metrics, units)
     rows = {}
     for name, value in metrics.items():
-        error = errors.get(name)
-        estimate = "" if error is None else f" (error estimate {100 * error:.2g} %)"
         label, text = _make_summary_row(name, value, units, scales)
-        rows[name] = label, text + estimate
+        if (kind := PROBE_WORDS.get(probes.get(name, {}).get("take"))) is not None:
+            text += f", {kind} of {probes[name]['of']}"
+        if name in errors:
+            text += f" (error estimate {format_percent(errors[name], 2)})"
+        rows[name] = label, text
     return _label_rows(rows, units)
 
 
 def format_verdict(checks: Sequence[Mapping[str, Any]]) -> str:
     """Return a string with the number of passed checks.
 
-    Examples are ``17 checks passed`` and ``16 of 17 checks passed``.
+    Examples are ``all 17 passed`` and ``16 of 17 passed``.
     """
     passed = sum(map(bool, map(itemgetter("passed"), checks)))
-    if passed == len(checks):
-        return f"{passed} check{'s' * (passed != 1)} passed"
-    return f"{passed} of {len(checks)} checks passed"
+    if passed < len(checks):
+        return f"{passed} of {len(checks)} passed"
+    return f"all {passed} passed" if passed > 1 else f"{passed} passed"
 
 
 def _is_scalar(value: Any) -> bool:
@@ -246,14 +343,15 @@ def _is_scalar(value: Any) -> bool:
 
 def _make_model_rows(result: Mapping[str, Any]) -> Rows:
     """Return table rows of reduced models: number of states, band, error estimate."""
-    models = (result.get("roms") or {"": result["rom"]}) if result.get("rom") else {}
     rows = []
-    for name, rom in models.items():
-        label = f"reduced model {name}".strip()
+    for name, rom in _get_reduced_model_records(result).items():
+        label = f"reduced model of {name}" if name else "reduced model"
         text = f"{rom['order']} states"
         if rom.get("error_estimate") is not None and rom.get("band_hz"):
-            top = format_quantity(rom["band_hz"][1], "Hz", 3)
-            text += f", error estimate {100 * rom['error_estimate']:.2g} % up to {top}"
+            band = _format_band(rom["band_hz"]).replace(
+                "0 Hz to ", "up to ", rom["band_hz"][0] == 0
+            )
+            text += f", error estimate {format_percent(rom['error_estimate'], 2)}, {band}"
         rows.append((label, text))
     return rows
 
@@ -279,14 +377,13 @@ def _replace_rounding_error(value: Any, scales: Mapping[str, float], unit: str) 
 
 
 def format_above_band(certificate: Mapping[str, Any]) -> Rows:
-    """Return table rows of the mechanical compliance's errors above the band."""
+    """Format the mechanical compliance's errors above the band as a table row."""
     frequencies = certificate.get("above_band_hz", ())
     errors = certificate.get("above_band_compliance_error", ())
-    rows = []
+    texts = []
     for frequency, error in zip(frequencies, errors, strict=True):
-        name = f"compliance at {format_quantity(frequency, 'Hz')}"
-        rows.append((name, f"error {100 * error:.2g} %, above the band"))
-    return rows
+        texts.append(f"{format_percent(error, 2)} at {format_quantity(frequency, 'Hz')}")
+    return [("compliance error above the band", ", ".join(texts))] if texts else []
 
 
 def format_model_summary(
@@ -300,22 +397,77 @@ def format_model_summary(
     result = converged or {}
     shares = result.get("shares", {})
     settings = []
-    for key, value, error in map(dict.values, planned["settings"]):
-        settings.append((key, f"{value:g}", _format_relative_error(shares.get(key, error))))
+    for item in planned["settings"]:
+        key, of = item["key"], item["error_of"] or ""
+        error = item["error"]
+        if key in shares:
+            error, of = shares[key], "metrics"
+        settings.append((key, _format_setting(item), _format_relative_error(error), of))
     for name, error in result.get("errors", {}).items():
-        settings.append((f"error of {name}", "", _format_relative_error(error)))
-    parts = list(map(tuple, map(dict.values, planned["parts"])))
-    omitted = list(map(itemgetter("effect", "why", "error"), planned["left_out"]))
+        settings.append(("all settings", "", _format_relative_error(error), name))
+    sources_first = sorted(planned["parts"], key=lambda part: part["source"] != IDEAL_SOURCE)
+    parts = list(chain.from_iterable(map(_make_part_rows, sources_first)))
+    omitted = []
+    for row in sorted(planned["left_out"], key=_get_effect_order):
+        omitted.append((row["effect"], row["why"], row["error"]))
+    head = ("key", "value", "estimated error", "error of")
+    note = _write_settings_note(planned["error_budget"])
+    step = planned.get("largest_step")
+    if step is not None and step["why"] != STEP_SET_BY_USER:
+        note = f"solver.max_step follows from: {step['why']}. {note}"
     return [
-        PageSection("What is modelled", parts, ("part", "source", "model")),
-        PageSection("Numerical settings", settings, ("key", "value", "error"), SETTINGS_NOTE),
-        PageSection("What is left out", omitted, ("effect", "why", "size")),
+        PageSection("Parts", parts, ("part", "model")),
+        PageSection("Numerical settings", settings, head, note),
+        PageSection("Neglected effects", omitted, ("effect", "assumption", "influence")),
     ]
 
 
+def _make_part_rows(part: Mapping[str, str]) -> Rows:
+    """Return the table rows of a part's model: origin of the model, and one row per fact."""
+    first, *others = part["detail"].split("; ")
+    return [(part["part"], f"{part['source']}: {first}"), *(("", text) for text in others)]
+
+
+def _get_effect_order(row: Mapping[str, Any]) -> tuple[int, float]:
+    """Return the key that sorts neglected effects by size.
+
+    Effects in the summary of the run are first, then effects of known size, largest first. Effects
+    that are not estimated are last.
+    """
+    if row["summarised"]:
+        return 0, 0.0
+    if row["size"] is not None:
+        return 1, -row["size"]
+    return (3 if row["error"].startswith(NOT_ESTIMATED) else 2), 0.0
+
+
+def _format_setting(setting: Mapping[str, Any]) -> str:
+    """Format the value of a numerical setting: a count, a ratio in percent, or a quantity."""
+    value, unit = setting["value"], setting["unit"]
+    if unit is None:
+        return f"{value:g}"
+    return format_quantity(value, unit) if unit else f"{100 * value:g} %"
+
+
+def _write_settings_note(budget: float | None) -> str:
+    """Return the note below the table of numerical settings.
+
+    The note states how a run limits the errors. ``budget`` is the key ``error_budget``.
+    """
+    if budget is not None:
+        return (
+            f"error_budget = {budget:g}: a run refines the settings until the error of each metric "
+            f"is at most {100 * budget:g} %."
+        )
+    return (
+        "Errors are estimated before the run. To limit the error of each metric to 1 %, write "
+        "error_budget = 0.01 at the top of the scene file."
+    )
+
+
 def _format_relative_error(error: float | None) -> str:
-    """Format a relative error; for an unknown error, return ``not estimated``."""
-    return "not estimated" if error is None else f"{error:.2g}"
+    """Format a relative error in percent, or return ``not estimated``."""
+    return NOT_ESTIMATED if error is None else format_percent(error, 2)
 
 
 def _make_summary_rows(facts: Mapping[str, Any], units: Mapping[str, str]) -> Rows:
@@ -357,7 +509,9 @@ def _make_summary_row(
     ``scales`` contains the largest magnitude of the results of each unit, keyed by unit.
     """
     unit = units.get(name, "")
-    return format_metric(name.replace(".", "_"), _replace_rounding_error(value, scales, unit), unit)
+    *tables, key = name.split(".")
+    label, text = format_metric(key, _replace_rounding_error(value, scales, unit), unit)
+    return " ".join((*map(label_key, tables), label)), text
 
 
 def _format_energy(name: str, entries: Mapping[str, float]) -> PageSection:
@@ -378,14 +532,29 @@ def _format_modes(part: str, table: Mapping[str, Any]) -> PageSection:
     for port, unit in units.items():
         if any(mode["couplings"][port] > 0 for mode in modes):
             coupled.append(port)
-            head.append(port if unit else f"k of {port}")
+            head.append(f"{_name_coupling(unit)} {port}")
     rows = []
     for mode in modes:
         row = [format_quantity(mode["frequency_hz"], "Hz"), format_quantity(mode["quality"], "")]
         for port in coupled:
-            row.append(format_quantity(mode["couplings"][port], units[port], 3))
+            row.append(_format_coupling(mode, port, units[port]))
         rows.append(row)
     return PageSection(f"Modes: {part}", rows, head, MODES_NOTE)
+
+
+def _name_coupling(unit: str) -> str:
+    """Return the beginning of a column title: the quantity of a coupling with this unit."""
+    if unit == ACCELERATION_RESPONSE_UNIT:
+        return "effective mass at"
+    return "compliance at" if unit else "coupling factor of"
+
+
+def _format_coupling(mode: Mapping[str, Any], port: str, unit: str) -> str:
+    """Format the coupling of a mode to a port; for an acceleration, the effective mass."""
+    value = mode["couplings"][port]
+    if unit == ACCELERATION_RESPONSE_UNIT:
+        return format_quantity(value * (2 * math.pi * mode["frequency_hz"]) ** 2, "kg", 3)
+    return format_quantity(value, unit, 3)
 
 
 def _make_simulator_rows(result: Mapping[str, Any], scene: Scene) -> Rows:

@@ -84,7 +84,7 @@ def write_sweep(
             if not _has_common_type(column, bool):
                 spread.append(_make_quantile_row(name, column, metric_units.get(name, "")))
     head = ("metric", "points", "least", "5 %", "median", "95 %", "largest")
-    note = "Of all points; a point that failed counts as a miss."
+    note = "Percentage of all points at which the metric is true. A failed point counts as false."
     plan_rows = [("points", plan), *(_make_key_row(key, table[key], units) for key in units)]
     figures = tuple(plot_sweep(table, units, metrics, metric_units, random))
     sections = [
@@ -161,20 +161,24 @@ def plot_sweep(
         labels = [" ".join(map(str, row)) for row in zip(*words.values(), strict=True)]
         (axis_x,) = x.values()
         panels = [_plot_curves(axis_x, labels, axis) for axis in y.values()]
-        yield Figure("curves", "Curves", "A gap is a point without that metric.", tuple(panels))
+        yield Figure(
+            "curves", "Curves", "A gap is a point at which the metric has no value.", tuple(panels)
+        )
     elif not random and len(x) == len(units) == 2 and crossed == len(table["status"]):
         axis_x, axis_y = x.values()
         for name, axis in y.items():
             panel = _plot_map(axis_x, axis_y, axis)
             title = axis[0].partition(" in ")[0]
-            yield Figure(f"map_{name}", title, "Grey where there is none.", (panel,))
+            yield Figure(f"map_{name}", title, "Grey: the metric has no value.", (panel,))
     else:
-        caption = "Lines at the median and at 5 and 95 % of the points."
+        caption = "Lines: median, and 5th and 95th percentiles of the points."
         histograms = tuple(map(_plot_histogram, y.values()))
         yield Figure("histograms", "Distributions", caption, histograms, columns=3)
         for name, (label, values) in y.items():
             panels = [Panel(k, label, (Curve("", v, values, "o"),)) for k, v in x.values()]
-            yield Figure(f"over_{name}", label, "Over each key.", tuple(panels), columns=3)
+            yield Figure(
+                f"over_{name}", label, "Metric versus each swept key.", tuple(panels), columns=3
+            )
 
 
 def _plot_curves(x: Axis, words: Sequence[str], y: Axis) -> Panel:

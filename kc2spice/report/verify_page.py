@@ -14,9 +14,14 @@ from typing import Any
 import numpy as np
 
 from kc2spice.core.figure import Curve, Figure, Panel, format_axis_label, get_axis_label_and_factor
-from kc2spice.core.si_prefix_format import format_quantity, format_ratio, format_value_and_limit
+from kc2spice.core.si_prefix_format import (
+    format_ratio,
+    format_value_and_limit,
+    remove_unit_words,
+)
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.report.html import PageSection, format_metric, format_times, write_page
+from kc2spice.report.run_page import format_verdict
 from kc2spice.scene.checks import SOLUTION_PAIRS, Check
 
 VERDICT_WORDS = {True: "ok", False: "MISSED"}
@@ -69,12 +74,14 @@ def write_verify(path: Path, findings_by_scene: Mapping[str, VerificationResult]
     ``findings_by_scene`` contains the results of each scene, keyed by the name of the scene.
     """
     rows = list(map(_make_summary_row, findings_by_scene, findings_by_scene.values()))
-    head = ("scene", "gates", "reduced − full", "ngspice − reduced", "ngspice − full")
-    sections = [PageSection("Summary", rows, head, "Errors are the largest relative ones.")]
+    head = ("scene", "checks", "reduced − full", "ngspice − reduced", "ngspice − full")
+    sections = [PageSection("Summary", rows, head, "Errors are maximum relative errors.")]
     for scene, findings in findings_by_scene.items():
         sections += format_verification(scene, findings.make_record())
         sections += _format_details(scene, findings)
-    lead = "Full model, reduced model and ngspice on the emitted netlist, against each other."
+    lead = (
+        "Comparison of the full model, the reduced model and the ngspice solution of its netlist."
+    )
     return write_page(path, "Verification", lead, sections)
 
 
@@ -90,30 +97,22 @@ def format_verification(scene: str, record: Mapping[str, Any]) -> list[PageSecti
     ``record`` is the content of ``verify.json`` for the scene.
     """
     checks = list(map(_make_check_row, record["checks"]))
-    times = format_times(record["wall_s"])
+    times, verdict = format_times(record["wall_s"]), format_verdict(record["checks"])
     return [
-        PageSection(f"{scene}: gates", checks, ("", "check", "value", "limit")),
+        PageSection(f"{scene}: checks, {verdict}", checks, ("", "check", "value", "limit")),
         PageSection(f"{scene}: time", times, ("stage", "wall time")),
     ]
 
 
 def _make_check_row(check: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return the table row of a check: verdict, name, value and limit.
+    """Return the table row of a check: verdict, label, value and limit.
 
     A dash replaces a value that is not a number.
     """
-    unit = "" if check["unit"] == "1" else check["unit"]
-    value, limit = _convert_nan_to_none(check["value"]), _convert_nan_to_none(check["limit"])
-    if value is None or limit is None:
-        texts = format_quantity(value, unit, 3), format_quantity(limit, unit, 3)
-    else:
-        texts = format_value_and_limit(value, limit, unit)
-    return VERDICT_WORDS[check["passed"]], check["name"], *texts
-
-
-def _convert_nan_to_none(value: float | None) -> float | None:
-    """Return a number unchanged, or None instead of NaN."""
-    return None if value is None or np.isnan(value) else value
+    unit, value = remove_unit_words(check["unit"]), check["value"]
+    is_missing = value is None or np.isnan(value)
+    text, limit = format_value_and_limit(0.0 if is_missing else value, check["limit"], unit)
+    return VERDICT_WORDS[check["passed"]], check["label"], "—" if is_missing else text, limit
 
 
 def _format_details(scene: str, findings: VerificationResult) -> list[PageSection]:
@@ -121,7 +120,7 @@ def _format_details(scene: str, findings: VerificationResult) -> list[PageSectio
     head = ("solutions", "output", "largest error", "rms error")
     errors, facts = [], []
     for error in findings.outputs:
-        pair = error.pair.replace("_vs_", " to ")
+        pair = error.pair.replace("_vs_", " versus ")
         sizes = map(format_ratio, (error.largest, error.rms))
         errors.append((pair, error.output, *sizes))
     for name, value in findings.metrics.items():
@@ -160,7 +159,7 @@ def plot_comparison(
             for k, (n, w) in enumerate(solutions.items())
         )
         panels.append(Panel(label, format_axis_label(wave, units.get(wave, "")), curves))
-    over, caption = f"{title}: solutions over each other", f"Reference (dotted): {first}."
+    over, caption = f"{title}: comparison of solutions", f"Reference (dotted): {first}."
     yield Figure(f"{name}_solutions", over, caption, tuple(panels))
     x = factor * exact[scale].real
     errors = []
@@ -168,8 +167,8 @@ def plot_comparison(
         for wave in selected:
             difference = _compute_relative_difference(waves, exact, scale, wave)
             errors.append(Curve(f"{n}, {wave}", x, np.maximum(difference, SMALLEST_DIFFERENCE)))
-    panel = Panel(label, f"difference to {first} / largest value", tuple(errors), log_y=True)
-    caption = f"Differences to {first}, each over the wave's largest value."
+    panel = Panel(label, f"difference from {first} / peak value", tuple(errors), log_y=True)
+    caption = f"Differences from {first}, each divided by the peak value of the waveform."
     yield Figure(f"{name}_differences", f"{title}: differences", caption, (panel,))
 
 
@@ -191,9 +190,12 @@ def plot_port_responses(name: str, curves: Solutions) -> Iterator[Figure]:
         look: Any = {"span": (0.0, end), "log_y": True}
         panels.append(Panel("frequency in kHz", f"|{pair}|", tuple(lines), **look))
     if panels:
-        title = f"{name}: response of the emitted subcircuit"
-        caption = "Each port's answer to a unit load on itself; points are direct solutions of the "
-        yield Figure(f"{name}_response", title, f"{caption}full model.", tuple(panels))
+        title = f"{name}: response of the generated subcircuit"
+        caption = (
+            "Response of each port to a unit load at the same port; points: direct solutions of "
+            "the full model."
+        )
+        yield Figure(f"{name}_response", title, caption, tuple(panels))
 
 
 def _is_driving_point(response: str) -> bool:
@@ -208,7 +210,7 @@ def _is_driving_point(response: str) -> bool:
 def _find_largest_wave_names(
     names: Iterable[str], waves: Waveforms, units: Mapping[str, str]
 ) -> list[str]:
-    """Find the largest waveform's name for each unit, of up to ``MAX_PANELS`` units.
+    """Find the name of the waveform with the largest magnitude, for each unit.
 
     At most ``MAX_PANELS`` units are selected. The order is the order in which the units first occur
     in ``names``.

@@ -65,5 +65,5 @@ def _make_noise_cards(build: BuiltScene, voltage: str) -> AnalysisCards:
     load = Element.from_words(f"R{node}", node, "0", "1", noisy="0")
     first, last = selected.start, float(selected.stop or 0.0)
     command = make_noise_command(voltage, drive.name, first, last, selected.points, selected.scale)
-    title = "drives nothing: what the analysis could refer the noise to"
+    title = "source that the command .noise requires; it is not connected to any part"
     return AnalysisCards(command, add_title(title, (drive, load)))

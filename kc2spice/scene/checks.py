@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import SimulationError
-from kc2spice.core.si_prefix_format import format_value_and_limit
+from kc2spice.core.si_prefix_format import format_value_and_limit, remove_unit_words
 from kc2spice.scene.settings import Action, SolverKeys
 
 if TYPE_CHECKING:
@@ -24,11 +24,13 @@ class Metric:
     """Metric of a result: a number, an array or a table of numbers, with the SI unit.
 
     The unit of a pure number is ``""``. The name of a metric does not determine its unit, because
-    the author of a part may choose the name freely.
+    the author of a part may choose the name freely. If ``warning`` is set, the summary of a run
+    prints the text ``warning`` as a warning in place of the metric.
     """
 
     value: Any
     unit: str = ""
+    warning: str = ""
 
 
 @dataclass(frozen=True)
@@ -52,6 +54,10 @@ class Check:
     extreme position of the motion and an end of its permitted range. ``travel`` is the range of the
     motion. ``distance`` and ``travel`` have the unit of the check.
 
+    ``label`` is the printed label of the check. The default label is the name of the check. If the
+    errors of reduced bodies may change the outcome of the check, an additional violated check has
+    the label ``undecided_label``.
+
     ``found`` and ``accepted`` are texts for the error message of a violated check. ``found`` states
     the result of the run, such as ``heights from 2 mm to 9 mm``. ``accepted`` states the permitted
     results, such as ``heights from 0 mm to 8 mm``. ``found`` and ``accepted`` are set only if a
@@ -74,11 +80,21 @@ class Check:
     travel: float = 0.0
     found: str = ""
     accepted: str = ""
+    label: str = ""
+    undecided_label: str = ""
 
     @property
     def passed(self) -> bool:
         """Whether the value is within the limit (False for NaN)."""
         return self.value <= self.limit
+
+    @property
+    def printed_label(self) -> str:
+        """Label of the check; without a label, the name of the check."""
+        if self.label:
+            return self.label
+        # a name with blanks may contain scene keys, whose underscores must remain
+        return self.name if " " in self.name else self.name.replace("_", " ")
 
     @property
     def is_fatal(self) -> bool:
@@ -88,13 +104,14 @@ class Check:
     @property
     def violation(self) -> str:
         """Text of the warning that a violation of the check causes."""
-        value = f"{self.value:.3g} {self.unit}".rstrip()
-        return f"check {self.name}: {value}, limit {self.limit:.3g}: {self.advice}"
+        value, limit = format_value_and_limit(self.value, self.limit, remove_unit_words(self.unit))
+        return f"check {self.printed_label}: {value}, limit {limit}: {self.advice}"
 
     def make_record(self) -> dict[str, object]:
         """Return the check as an entry of ``result.json``."""
         names = ("name", "value", "limit", "unit", "passed", "action", "advice")
-        return {name: getattr(self, name) for name in names}
+        record = {name: getattr(self, name) for name in names}
+        return {**record, "label": self.printed_label}
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,13 +160,13 @@ def require_passed(checks: tuple[Check, ...], where: str) -> None:
     for check in checks:
         if check.is_fatal:
             value, limit = format_value_and_limit(check.value, check.limit, check.unit)
-            # a check name with blanks may contain scene keys, whose underscores must remain
-            name = check.name if " " in check.name else check.name.replace("_", " ")
             cause, colon, action = check.advice.partition(": ")
             if "(" in cause:
                 cause, colon, action = "", "", ""
             raise SimulationError(
-                f"{cause} (check: {name})" if colon else f"a check of the result failed: {name}",
+                f"{cause} (check: {check.printed_label})"
+                if colon
+                else f"a check of the result failed: {check.printed_label}",
                 where=where,
                 got=check.found or value,
                 expected=check.accepted or f"at most {limit}",

@@ -49,7 +49,7 @@ def check_scene(scene: Scene) -> Iterator[UsageError]:
     yield from _check_largest_step(scene)
     yield from _check_unused_keys(scene.analysis)
     _warn_of_unused_solver_keys(scene)
-    yield from _check_sweep_type(scene)
+    yield from _check_sweep_keys(scene)
     yield from _check_frequencies(scene)
     yield from _check_noise_output(scene.analysis)
     yield from _check_noise_start(scene.analysis)
@@ -141,8 +141,11 @@ def _check_largest_step(scene: Scene) -> Iterator[UsageError]:
         )
 
 
-def _check_sweep_type(scene: Scene) -> Iterator[UsageError]:
-    """Yield an error if ``sweep`` or ``back`` does not match the type of the analysis."""
+def _check_sweep_keys(scene: Scene) -> Iterator[UsageError]:
+    """Yield an error if the key ``sweep`` or ``back`` is set without a dc analysis.
+
+    The key ``back`` also requires that the sweep varies a source.
+    """
     selected = scene.analysis
     if selected.type != "dc" and selected.sweep is not None:
         yield UsageError(

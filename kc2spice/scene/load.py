@@ -17,6 +17,7 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
+from kc2spice.core.argument_and_option_names import check_arguments
 from kc2spice.core.domains import QUANTITIES
 from kc2spice.core.errors import UsageError, did_you_mean, list_candidates, normalise_word, unknown
 from kc2spice.core.key_errors import describe_invalid_key
@@ -30,7 +31,7 @@ from kc2spice.scene.catalogue import find_part
 from kc2spice.scene.key_checks import check_periods, check_scene
 from kc2spice.scene.net_formation import add_default_joins
 from kc2spice.scene.overrides import EXCLUSIVE_KEYS, read_overrides, set_key, write_example
-from kc2spice.scene.part_method_calls import add_governed_records, resolve
+from kc2spice.scene.part_method_calls import add_part_records, resolve
 from kc2spice.scene.parttype import find_part_type, list_type_names
 from kc2spice.scene.plausibility import apply_check_action, check_drive_levels
 from kc2spice.scene.scene_classes import DEFAULT_TYPES, GROUND, NameAllocator, Part, PartType, Scene
@@ -45,6 +46,7 @@ STRUCTURAL_KEYS = ("part", "pins")  # keys that every table of a part may contai
 _LINE_NUMBER_SUFFIX = re.compile(r"[^.]:\d+$")
 
 
+@check_arguments
 def load_scene(
     scene: Scene | str | Path | Mapping[str, Any],
     overrides: Sequence[str] | Mapping[str, Any] = (),
@@ -150,7 +152,7 @@ def _warn_of_replaced_overrides(
     for other, earlier in typed.items():
         if other in (path, excluded):
             texts = [text.removeprefix("--set ") for text in (earlier, place)]
-            warnings.warn(f"{texts[0]} has no effect, because {texts[1]} replaces it", stacklevel=3)
+            warnings.warn(f"{texts[0]} has no effect, because {texts[1]} replaces it", stacklevel=4)
 
 
 def _explain_replaced_type(data: Mapping[str, Any], source: SceneFile, problem: UsageError) -> bool:
@@ -247,7 +249,7 @@ def _make_scene(data: dict[str, Any], source: SceneFile) -> Scene:
     scene = replace(scene, parts=parts, tables=_copy_tables(data), source=source)
     if analysis is not None and "analysis" not in data:
         scene = replace(scene, frame=scene.frame.model_copy(update={"analysis": analysis}))
-    scene = add_governed_records(scene)
+    scene = add_part_records(scene)
     for problem in check_scene(scene):
         raise problem
     scene = resolve(_add_default_drive(scene))
@@ -435,7 +437,8 @@ def _make_unknown_key_error(name: str, data: Mapping[str, Any]) -> UsageError:
         if isinstance(table, Mapping) and item not in SceneKeys.model_fields:
             parts.append(item)
             part_keys += _list_part_keys(item, table)
-    below = f"keys of a part stand below its name: {', '.join(parts)}" if parts else None
+    headers = ", ".join(map("[{}]".format, parts))
+    below = f"write the keys of a part below its table header: {headers}" if parts else None
     if isinstance(data[name], list):
         below = 'write a table for each part: [NAME] with part = "TYPE"'
     return UsageError(

@@ -25,13 +25,15 @@ from kc2spice.scene.settings import ProbeKeys
 
 
 class Metrics(NamedTuple):
-    """Values of the metrics of a run, and SI units of metrics with a unit.
+    """Values of the metrics of a run, and their SI units and warnings.
 
-    The units are keyed by dotted name.
+    ``units`` and ``warnings`` are keyed by dotted name. They contain only metrics that have a unit
+    or a warning.
     """
 
     values: dict[str, Any]
     units: dict[str, str]
+    warnings: dict[str, str]
 
 
 def compute_metrics(waves: Waveforms, build: BuiltScene, *, partial: bool = False) -> Metrics:
@@ -45,19 +47,23 @@ def compute_metrics(waves: Waveforms, build: BuiltScene, *, partial: bool = Fals
 
 
 def _split_metrics(rows: Mapping[str, Any], path: str = "") -> Metrics:
-    """Separate the values of nested metrics from their units.
+    """Separate the values of nested metrics from their units and warnings.
 
-    The tables of values remain nested; the units are keyed by dotted name.
+    The tables of values remain nested; units and warnings are keyed by dotted name.
     """
-    result = Metrics({}, {})
+    result = Metrics({}, {}, {})
     for name, item in rows.items():
-        value, unit = (item.value, item.unit) if isinstance(item, Metric) else (item, "")
-        if unit:
-            result.units[f"{path}{name}"] = unit
+        metric = item if isinstance(item, Metric) else Metric(item)
+        value = metric.value
+        if metric.unit:
+            result.units[f"{path}{name}"] = metric.unit
+        if metric.warning:
+            result.warnings[f"{path}{name}"] = metric.warning
         if isinstance(value, Mapping):
             inner = _split_metrics(value, f"{path}{name}.")
             value = inner.values
             result.units.update(inner.units)
+            result.warnings.update(inner.warnings)
         result.values[name] = value
     return result
 

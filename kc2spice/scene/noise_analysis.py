@@ -64,10 +64,10 @@ def check_noise(waves: Waveforms) -> Iterator[Check]:
             "a resonance lies between the frequencies: raise analysis.points, or narrow the band"
         )
         yield Check(
-            "noise against every second frequency",
+            "change of the rms noise without every second frequency",
             off,
             MAX_RMS_CHANGE,
-            "of its rms",
+            "of the rms noise",
             advice,
             "warn",
         )
@@ -81,7 +81,7 @@ def plot_noise(waves: Waveforms, unit: str) -> Iterator[Figure]:
     rising = np.sqrt(integrate_cumulatively(density**2, f))
     rows = (
         (f"density in {unit}", density),
-        (f"rms from the lowest on in {unit.removesuffix(DENSITY_UNIT)}", rising),
+        (f"cumulative rms in {unit.removesuffix(DENSITY_UNIT)}", rising),
     )
     parts = compute_noise_by_part(waves)
     added = [Curve(f"of {part}", factor * f, result, "--") for part, result in parts.items()]

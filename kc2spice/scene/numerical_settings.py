@@ -19,6 +19,8 @@ from pydantic.fields import FieldInfo
 
 from kc2spice.core.mesh_error_descriptions import list_mesh_errors
 from kc2spice.core.quantities import RefinementRule
+from kc2spice.core.schemas import find_unit
+from kc2spice.core.si_prefix_format import format_quantity
 from kc2spice.scene.net_formation import describe_nets
 from kc2spice.scene.part_records import NeglectedEffect
 from kc2spice.scene.reference_frames import describe_frames
@@ -44,7 +46,7 @@ class NumericalSetting:
     of the grid in decades. A refined grid contains all points of the coarser grid. ``model`` is
     true for a setting, such as a mesh size, that affects the time to build a model but not the
     computing time of the simulator. ``mesh`` is true for a setting that determines the fineness of
-    a mesh.
+    a mesh. ``unit`` is the SI unit of the value, "" for ratios, and None for counts.
     """
 
     name: str
@@ -58,6 +60,7 @@ class NumericalSetting:
     decades: float = 0.0
     model: bool = False
     mesh: bool = False
+    unit: str | None = None
 
     def refine_keys(self, steps: float) -> dict[str, Any]:
         """Refine a setting by some steps, and return the changed keys with new values.
@@ -156,12 +159,8 @@ def _list_reduction_settings(build: BuiltScene) -> Iterator[NumericalSetting]:
         rom = scene.records[part.name].reduction
         if rom is None:
             continue
-        separate = getattr(part.keys, "rom", None) is not None
-        prefix = (
-            f"{part.key_prefix}.rom"
-            if separate or not _has_common_reduction(part, scene)
-            else "rom"
-        )
+        separate = _has_own_reduction_keys(part)
+        prefix = _get_reduction_prefix(part, scene)
         if prefix in known:
             continue
         known.add(prefix)
@@ -182,6 +181,18 @@ def _list_reduction_settings(build: BuiltScene) -> Iterator[NumericalSetting]:
         plain: dict[str, Any] = {f"{prefix}.parameters": {}} if rom.parameters else {}
         wider = (BAND_GROWTH**2 if plain else BAND_GROWTH) if timed else 1.0
         yield replace(setting, band=band, wider=wider, finer=plain)
+
+
+def _has_own_reduction_keys(part: Part) -> bool:
+    """Return whether the scene states a table ``rom`` for this part only."""
+    return getattr(part.keys, "rom", None) is not None
+
+
+def _get_reduction_prefix(part: Part, scene: Scene) -> str:
+    """Get the prefix of a part's reduction keys: ``PART.rom`` or the common ``rom``."""
+    if _has_own_reduction_keys(part) or not _has_common_reduction(part, scene):
+        return f"{part.key_prefix}.rom"
+    return "rom"
 
 
 def _has_common_reduction(part: Part, scene: Scene) -> bool:
@@ -208,7 +219,10 @@ def _make_setting(name: str, value: float, declared: FieldInfo) -> NumericalSett
             high = min(high, bound.lt / 2)  # type: ignore[operator]
     if rule.factor < 1 and rule.finest:
         low = min(rule.finest, value)
-    return NumericalSetting(name, value, rule, low, high, model=rule.model, mesh=rule.mesh)
+    unit = find_unit(declared)
+    return NumericalSetting(
+        name, value, rule, low, high, model=rule.model, mesh=rule.mesh, unit=unit
+    )
 
 
 def _find_rule(declared: FieldInfo) -> RefinementRule | None:
@@ -232,7 +246,8 @@ def refine_settings(
 def _describe_noise(part: Part, build: BuiltScene) -> str:
     """Describe a part's noise if the scene has a noise analysis; else return ""."""
     result = part.type.noise
-    noise = result if isinstance(result, str) else "thermal noise at 27 C" if result else "no noise"
+    thermal = "thermal noise at 27 °C" if result else "no noise"
+    noise = result if isinstance(result, str) else thermal
     return f"; {noise}" if build.has_noise else ""
 
 
@@ -242,15 +257,53 @@ def _describe_mesh(part: Part, build: BuiltScene) -> str:
     return f"; {text}" if text else ""
 
 
-def _estimate_mesh_error(setting: NumericalSetting, build: BuiltScene) -> float | None:
-    """Return the error estimate of the mesh that a setting refines, None if unknown."""
-    if not setting.mesh:
-        return None
-    errors: list[float] = []
-    for part in build.scene.parts.values():
-        if setting.name.startswith(f"{part.key_prefix}."):
-            errors += list_mesh_errors(build.get_model_values(part)).values()
+def _estimate_setting_error(
+    setting: NumericalSetting, build: BuiltScene
+) -> tuple[float, str] | None:
+    """Return the largest error estimate of a setting, with the quantity that has this error.
+
+    The result is None for a setting whose error is not known before a run. The error of a mesh is
+    the largest error of the results that depend on the mesh. The error of a reduction is that of
+    the certificate, which holds within the band of the reduced model. In a transient, voltage steps
+    also excite modes above the band.
+    """
+    scene, errors = build.scene, list[tuple[float, str]]()
+    for part in scene.parts.values():
+        certificate = getattr(build.models.get(part.name), "certificate", None)
+        if setting.mesh and setting.name.startswith(f"{part.key_prefix}."):
+            mesh_errors = list_mesh_errors(build.get_model_values(part))
+            for description, error in mesh_errors.items():
+                errors.append((error, description.removesuffix(" up to")))
+        elif certificate is not None and _is_reduction_setting(setting, part, scene):
+            errors.append((certificate.error_estimate, "reduced model, within its band"))
     return max(errors, default=None)
+
+
+def _is_reduction_setting(setting: NumericalSetting, part: Part, scene: Scene) -> bool:
+    """Return whether a setting is the tolerance or the order of a part's reduction."""
+    if scene.records[part.name].reduction is None:
+        return False
+    return setting.name.rpartition(".")[0] == _get_reduction_prefix(part, scene)
+
+
+def describe_analysis(scene: Scene) -> str:
+    """Describe the analysis of a scene: its type, and its range.
+
+    Examples
+    --------
+    >>> from kc2spice.scene.load import load_scene
+    >>> describe_analysis(load_scene("harvester"))
+    'ac, 40 Hz to 60 Hz'
+    """
+    selected = scene.analysis
+    if selected.type == "transient":
+        return f"transient, 0 s to {format_quantity(scene.stop_time, 's')}"
+    if selected.type == "dc":
+        return f"dc, sweep of {selected.sweep}"
+    if not selected.is_small_signal:
+        return "operating point"
+    low, high = selected.start, float(selected.stop or selected.start)
+    return f"{selected.type}, {format_quantity(low, 'Hz')} to {format_quantity(high, 'Hz')}"
 
 
 def describe_plan(build: BuiltScene) -> dict[str, Any]:
@@ -259,8 +312,8 @@ def describe_plan(build: BuiltScene) -> dict[str, Any]:
     ``parts`` contains the origin of each part's model (``source``), such as a data sheet, and a
     description of the model (``detail``). ``joins`` describes the nets. ``frames`` describes the
     reference frames of displacements. ``left_out`` lists each neglected effect once. ``settings``
-    lists the numerical settings. The ``error`` of a setting is the estimated relative error, or
-    None if the error is not known before a run.
+    lists the numerical settings. The ``error`` of a setting is the estimated relative error of the
+    quantity ``error_of``, or None if the error is not known before a run.
     """
     scene = build.scene
     parts = []
@@ -276,13 +329,16 @@ def describe_plan(build: BuiltScene) -> dict[str, Any]:
         parts.append({"part": part.name, "source": part.type.source, "detail": detail})
     settings = []
     for setting in find_numerical_settings(build):
-        error = _estimate_mesh_error(setting, build)
-        # The tolerance of a reduction bounds the error only within the band of the reduction.
-        # In a transient, voltage steps excite modes above the band, so the error can exceed the
-        # tolerance.
-        if scene.analysis.is_small_signal and setting.name.endswith("rom.tolerance"):
-            error = setting.value
-        settings.append({"key": setting.name, "value": setting.value, "error": error})
+        error, of = _estimate_setting_error(setting, build) or (None, None)
+        settings.append(
+            {
+                "key": setting.name,
+                "value": setting.value,
+                "error": error,
+                "error_of": of,
+                "unit": setting.unit,
+            }
+        )
     return {
         "parts": parts,
         "joins": describe_nets(scene),

@@ -38,7 +38,7 @@ def resolve(scene: Scene) -> Scene:
         connections.
     """
     if any(scene.get_record(part) is None for part in scene.parts.values()):
-        scene = add_governed_records(scene)
+        scene = add_part_records(scene)
     return with_numerics(join_parts(scene))
 
 
@@ -94,8 +94,8 @@ def _list_parts_with_cards(build: BuiltScene) -> list[Part]:
     return [part for name, part in scene.parts.items() if name not in scene.without_cards]
 
 
-def add_governed_records(scene: Scene) -> Scene:
-    """Add records with the parts that each part moves, copies or initialises.
+def add_part_records(scene: Scene) -> Scene:
+    """Add a record for each part, with the parts that it moves, copies or initialises.
 
     The records also contain the shared data of each part. The shared data of one part may depend on
     the shared data of other parts.
@@ -186,9 +186,9 @@ def with_numerics(scene: Scene) -> Scene:
     return replace(scene, records=reduced)
 
 
-def resolve_again(scene: Scene) -> Scene:
+def update_part_records(scene: Scene) -> Scene:
     """Update the records of all parts after a change of keys; keep the nets."""
-    return with_numerics(with_equilibrium_conditions(add_governed_records(scene)))
+    return with_numerics(with_equilibrium_conditions(add_part_records(scene)))
 
 
 def name_subcircuits(scene: Scene) -> dict[str, str]:

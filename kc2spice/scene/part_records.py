@@ -27,13 +27,15 @@ class NeglectedEffect:
     """Effect that a model neglects, with the reason and the largest error.
 
     ``error`` describes the largest error that the neglected effect causes. If ``summarised`` is
-    true, the summary of a run lists the effect.
+    true, the summary of a run lists the effect. ``size`` is the largest relative change that the
+    effect causes in a result, or None if the change is not known.
     """
 
     effect: str
     why: str
     error: str
     summarised: bool = False
+    size: float | None = None
 
 
 @dataclass(frozen=True)
@@ -124,8 +126,8 @@ class SceneResults:
 
     Attributes
     ----------
-    vectors : mapping of str to PartResult Vectors of the netlist, keyed by the names of the
-        results.
+    vectors : mapping of str to PartResult
+        Vectors of the netlist, keyed by the names of the results.
     powers : mapping of str to tuple of PowerTerm
         Terms of each power of a part or pin that a probe reads.
     """
@@ -163,7 +165,7 @@ class SweptSource:
 
 @dataclass(frozen=True, eq=False)
 class DcSweep(EqualByContent):
-    """Sweep of a dc analysis: a key of the scene varies the value of one source.
+    """Sweep of a dc analysis, which varies a key of the scene and thereby one source.
 
     Attributes
     ----------
@@ -211,8 +213,8 @@ class SampledSource:
     reload: Callable[[], Callable[[float, Mapping[str, float]], float]] | None = None
 
     @property
-    def record_with_reset_function(self) -> SampledSource:
-        """Copy of this source, with its Python function reset to the initial state."""
+    def copy_in_initial_state(self) -> SampledSource:
+        """Copy of the sampled source, with its Python function in the initial state."""
         return self if self.reload is None else replace(self, call=self.reload())
 
 
@@ -272,13 +274,14 @@ class AcceleratedFrame:
     def node_cosines(self) -> frozenset[tuple[str, float | None]]:
         """Pairs (acceleration node, direction cosine) that identify a reference frame.
 
-        Two displacements have the same frame of reference if their frames have equal pairs.
+        Two displacements have the same frame of reference if the pairs (acceleration node,
+        direction cosine) of their frames are equal.
         """
         return frozenset((shake.net, shake.along) for shake in self.shakes)
 
     @property
     def description(self) -> str:
-        """Description of the accelerations, for the command ``explain``."""
+        """Description of the reference frame's accelerations, for the command ``explain``."""
         shares = []
         for shake in self.shakes:
             pin = ".".join(shake.pin)
@@ -288,4 +291,4 @@ class AcceleratedFrame:
                 shares.append(pin)
             else:
                 shares.append(f"{shake.along:.4g} of {pin}")
-        return ", ".join(shares) or f"{self.body}, whose acceleration is at a right angle"
+        return ", ".join(shares) or f"{self.body}, perpendicular to the displacement"

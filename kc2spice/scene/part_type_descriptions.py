@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from kc2spice.core.toml_text import format_toml
 from kc2spice.core.untrusted_files import parse_toml
 from kc2spice.scene.catalogue import CataloguePart
-from kc2spice.scene.keys import KeyDescription, list_schema_keys
+from kc2spice.scene.keys import KeyDescription, list_part_keys
 from kc2spice.scene.load import PARTS_COMMAND, STRUCTURAL_KEYS, load_scene, make_unknown_type_error
 from kc2spice.scene.parttype import find_part_type, load_part_types
 from kc2spice.scene.probed_results import list_part_results
@@ -21,6 +21,7 @@ from kc2spice.scene.scene_file import list_gallery
 class PartTypeReference:
     """Description of a part type, with an example.
 
+    ``optional_pins`` are pins that the example need not have, each with the key that adds the pin.
     ``results`` are the names of the results of the example, without the name of the part. ``scene``
     is the name of the built-in scene that contains the example, or None for other examples.
     """
@@ -34,6 +35,7 @@ class PartTypeReference:
     example: str
     scene: str | None
     short_for: tuple[str, ...]
+    optional_pins: Mapping[str, str]
 
 
 def describe_part_types() -> Iterator[PartTypeReference]:
@@ -108,11 +110,12 @@ def _describe_type(name: str, examples: Mapping[str, tuple[str, Part, Scene]]) -
         kind.title,
         " ".join((kind.schema.__doc__ or "").split()),
         pins,
-        tuple(list_schema_keys(kind.schema)),
+        tuple(list_part_keys(kind.schema)),
         results,
         example.strip(),
         scene_name,
         (DEFAULT_TABLES[name],) if name in DEFAULT_TABLES else (),
+        {pin: key for pin, key in kind.optional_pins.items() if pin not in {t.name for t in pins}},
     )
 
 

@@ -50,7 +50,7 @@ def find_frames(scene: Scene) -> dict[tuple[str, str], AcceleratedFrame]:
         changed = len(result) > before
     for part in scene.parts.values():
         _require_one_frame(part, scene, result)
-        _require_inertial_force(part, scene, result, bodies.get(part.name, {}))
+        _require_acceleration_pin(part, scene, result, bodies.get(part.name, {}))
     return {pin: result[net] for pin, net in scene.nets.items() if net in result}
 
 
@@ -153,15 +153,13 @@ def _require_one_frame(part: Part, scene: Scene, known: Mapping[str, Accelerated
 
 
 def _describe_frame(frame: AcceleratedFrame | None) -> str:
-    """Describe a frame in words; ``frame`` is None for the frame of the ground."""
+    """Describe a frame in words; ``frame`` is None for the inertial frame of gnd."""
     return (
-        "the frame of the ground"
-        if frame is None
-        else f"the frame that {frame.description} accelerates"
+        "the inertial frame" if frame is None else f"the frame accelerated by {frame.description}"
     )
 
 
-def _require_inertial_force(
+def _require_acceleration_pin(
     part: Part,
     scene: Scene,
     known: Mapping[str, AcceleratedFrame],
@@ -187,8 +185,8 @@ def _require_inertial_force(
             hint = 'use part = "mass", or drive the body by a force instead of its acceleration'
             if body:
                 hint = (
-                    f'add a port of kind "base" to {part.name}, and join its acceleration pin to '
-                    "the same source"
+                    f'add a port of kind "base" to {part.name}, and connect its acceleration '
+                    "pin to the same source"
                 )
             raise UsageError(
                 f"{part.name} has inertia and moves with an accelerated frame, but has no input "
@@ -202,17 +200,21 @@ def _require_inertial_force(
             )
         elif any(shake.along is None for shake in frame.shakes):
             raise UsageError(
-                f"{part.name} moves with a frame whose direction of acceleration is unknown",
+                f"{part.name} moves in an accelerated frame of reference, and the direction of the "
+                "acceleration is unknown",
                 where=f"{part.name}.{pin}",
                 got=f"a pin in {_describe_frame(frame)}",
-                expected=f"a direction of each port of {frame.body}",
+                expected=f"a stated direction of each port of {frame.body}",
                 hint=f"state `axis` or `dof` of the ports of {frame.body}, or include the mass of "
                 f"{part.name} in the matrices of {frame.body}",
             )
 
 
 def describe_frames(scene: Scene) -> Iterator[str]:
-    """Yield lines for the command ``explain`` about frames of displacements."""
+    """Yield lines of text that describe the reference frames of displacements.
+
+    The command ``explain`` prints the lines.
+    """
     nets: dict[str, list[str]] = {}
     for (part, pin), net in scene.nets.items():
         end = scene.terminals[part, pin]
@@ -220,11 +222,11 @@ def describe_frames(scene: Scene) -> Iterator[str]:
             nets.setdefault(net, []).append(f"{part}.{pin}")
     relative = {scene.nets[pin]: frame for pin, frame in scene.frames.items()}
     if nets and not relative:
-        yield "all displacements are absolute: they count from gnd, which is at rest"
+        yield "Displacements are measured from gnd, which is at rest."
     for net, pins in nets.items() if relative else ():
         frame = relative.get(net)
         if frame is None:
             yield f"{', '.join(pins)}: absolute"
         else:
-            meaning = f"relative to the frame that {frame.description} shakes; gnd is that frame"
-            yield f"{', '.join(pins)}: {meaning}"
+            where = f"relative to gnd, which has the acceleration of {frame.description}"
+            yield f"{', '.join(pins)}: {where}"

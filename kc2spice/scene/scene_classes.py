@@ -94,7 +94,7 @@ class Terminal:
     ``flow``. For a signal, ``flow`` is ``"-"``. A pin that the scene does not join is joined to the
     target ``default`` (``"gnd"`` or ``"part.pin"``). A ``required`` pin must be joined.
     ``signal_out`` marks a pin that sets a signal. ``rated`` [V] is the largest voltage that an
-    electrode withstands, or None if unknown. ``kind_key`` is the key of the part whose value sets
+    electrode withstands, or None if unknown. ``kind_key`` is the name of the part's key that sets
     the units of the pin.
     """
 
@@ -109,7 +109,7 @@ class Terminal:
 
     @classmethod
     def from_domain(cls, name: str, domain: Domain, default: str | None = None) -> Terminal:
-        """Make a pin with the units of a conservative domain."""
+        """Make a pin from a domain, with the units of its across and through quantities."""
         return cls(name, *domain.units, default)
 
     @classmethod
@@ -127,7 +127,7 @@ class Terminal:
 
     @property
     def kind(self) -> str:
-        """Units of the pin as text; only pins with the same units may be joined."""
+        """Kind of the pin: its units as text. Only pins of the same kind may be joined."""
         return f"{self.unit}/{self.flow}" if self.flow != SIGNAL else f"signal in {self.unit}"
 
     @property
@@ -137,7 +137,7 @@ class Terminal:
 
     @property
     def needs_path(self) -> bool:
-        """Whether an operating point requires a path from the pin to the reference."""
+        """Whether an operating point needs a path, e.g. a spring, from pin to reference."""
         return self.domain is not None and bool(self.domain.path_to_reference)
 
     @property
@@ -171,7 +171,7 @@ class Part(Generic[KeysT]):
     overridden_keys: frozenset[str] = field(default=frozenset(), compare=False)
 
     def with_schema(self, schema: builtins.type[S]) -> Part[S]:
-        """Return the part after a check that its keys are an instance of ``schema``.
+        """Return the part if its keys are of class ``schema``; otherwise raise TypeError.
 
         Raises
         ------
@@ -218,7 +218,7 @@ class Part(Generic[KeysT]):
         expected: str | None = None,
         hint: str | None = None,
     ) -> UsageError:
-        """Return an error about a key of the part, or about the part if ``key`` is empty."""
+        """Make the error for a wrong key of a part, or for the part if ``key`` is empty."""
         where = f"{self.name}.{key}" if key else self.name
         return wrong(where, message, got=got, expected=expected, hint=hint)
 
@@ -270,12 +270,12 @@ class NameAllocator:
         return self.assigned[key]
 
 
-class SceneSource(Protocol):
+class KeyLocator(Protocol):
     """Protocol of a class that locates keys in a scene file and in its overrides."""
 
     @property
     def overrides(self) -> Mapping[tuple[str, ...], str]:
-        """Origin of each override, keyed by the path of the overridden key.
+        """Overrides of keys: the origin of each override, keyed by the path of the key.
 
         An example of an origin is ``--set 'impact.velocity=-1'``.
         """
@@ -350,7 +350,7 @@ class DeclaredScene:
 
     @property
     def solver(self) -> SolverKeys:
-        """Settings of the simulator."""
+        """Keys of the scene table ``[solver]``: settings of the simulator."""
         return self.frame.solver
 
     @property
@@ -389,7 +389,7 @@ class DeclaredScene:
         return tuple(part for part in self.parts.values() if part.type.name in types)
 
     def list_parts_with_schema(self, kind: str, schema: type[S]) -> tuple[Part[S], ...]:
-        """Return all parts of a type, after a check that their keys have a given class."""
+        """List all parts of a type; raise TypeError if keys are not of class ``schema``."""
         return tuple(part.with_schema(schema) for part in self.list_parts(kind))
 
     def find_only_part(self, *types: str) -> Part | None:
@@ -457,16 +457,16 @@ class DeclaredScene:
 
 @dataclass(frozen=True, eq=False)
 class GovernedScene(DeclaredScene):
-    """Scene that states which parts govern the motion, state or cards of other parts.
+    """Scene with its governed parts: parts that other parts move, copy or initialise.
 
-    This class is the second loading stage of a scene.
-    A governed part is a part that another part moves, copies or gives an initial state. ``movers``
-    maps the name of each moved part to the name of the part that prescribes its motion.
-    ``initial_states`` contains the states at t = 0 that keys prescribe, keyed by part.
-    ``without_cards`` are the parts that have no cards in the deck. A part has no cards if another
-    part writes copies of its subcircuit, or prescribes its motion. ``records`` contains the record
-    of each part, keyed by name. ``frames`` contains the reference frame of each pin whose
-    displacement is relative to an accelerated frame.
+    This class is the second loading stage of a scene. A part is governed if another part prescribes
+    its motion, copies it, or prescribes its initial state. ``movers`` maps the name of each moved
+    part to the name of the part that prescribes its motion. ``initial_states`` maps the name of
+    each part with a prescribed state at t = 0 to this state. ``without_cards`` are the parts that
+    have no cards in the deck. A part has no cards if another part writes copies of its subcircuit,
+    or prescribes its motion. ``records`` contains the record of each part, keyed by name.
+    ``frames`` contains the reference frame of each pin whose displacement is relative to an
+    accelerated frame.
     """
 
     records: Mapping[str, PartRecord[object]] = field(default_factory=dict)
@@ -476,10 +476,10 @@ class GovernedScene(DeclaredScene):
     frames: Mapping[tuple[str, str], AcceleratedFrame] = field(default_factory=dict)
 
     def get_record(self, part: Part) -> PartRecord[object] | None:
-        """Return the record of a part, or None if the scene has no record of this part.
+        """Return the record of a part (its properties before its model is built), or None.
 
-        The result is None if the scene contains another object of the same name, whose keys may
-        differ.
+        The result is None if the scene has no record of the part, or if the scene contains another
+        object of the same name, whose keys may differ.
         """
         result = self.records.get(part.name)
         return result if result is not None and result.part is part else None
@@ -487,7 +487,7 @@ class GovernedScene(DeclaredScene):
 
 @dataclass(frozen=True, eq=False)
 class JoinedScene(GovernedScene):
-    """Third loading stage of a scene, with the joins that the keys of parts imply.
+    """Third loading stage of a scene, with pin connections from the keys of parts.
 
     ``joins`` maps the name of each part to the targets of the part's pins.
     """
@@ -535,12 +535,13 @@ class Scene(WiredScene):
     """Resolved scene with the records of all its parts.
 
     Each base class contains the data of one stage of
-    :func:`kc2spice.scene.part_method_calls.resolve`. A method of a part type receives the scene at
-    one of its stages. ``numerics`` are the numerical requirements of all parts. ``period`` [s] is
-    the common period of all drives, or None if there is no common period. ``meters`` contains the
-    names of the ammeters at pins. ``names`` contains the names of all other nodes and cards, keyed
-    by ``(part, *words)`` (:meth:`BuiltScene.get_inner_name`). ``tables`` are the tables of the file
-    with all overrides. ``source`` locates keys in the text of the file for :meth:`where`.
+    :func:`kc2spice.scene.part_method_calls.resolve`. In the methods of part types, the class of the
+    argument ``scene`` states the loading stage at which the method is called. ``numerics`` are the
+    numerical requirements of all parts. ``period`` [s] is the common period of all drives, or None
+    if there is no common period. ``meters`` contains the names of the ammeters at pins. ``names``
+    contains the names of all other nodes and cards, keyed by ``(part, *words)``
+    (:meth:`BuiltScene.get_inner_name`). ``tables`` are the tables of the file with all overrides.
+    ``source`` locates keys in the text of the file for :meth:`where`.
     """
 
     numerics: tuple[NumericalRequirements, ...] = ()
@@ -548,7 +549,7 @@ class Scene(WiredScene):
     meters: Mapping[tuple[str, str], str] = field(default_factory=dict)
     names: Mapping[tuple[str, ...], str] = field(default_factory=dict)
     tables: Mapping[str, Any] = field(default_factory=dict)
-    source: SceneSource | None = None
+    source: KeyLocator | None = None
 
     def where(self, key: str) -> str:
         """Return file, line and name of a key, or only the name if the scene has no file."""
@@ -556,7 +557,7 @@ class Scene(WiredScene):
 
     @contextmanager
     def locate_errors(self, part: str) -> Iterator[None]:
-        """Add file and line to errors about keys of a part that a ``with`` block raises."""
+        """If a ``with`` block raises an error about a key of a part, add file and line."""
         try:
             yield
         except UsageError as error:
@@ -586,7 +587,7 @@ class Scene(WiredScene):
 
 
 def _find_key_path(table: object, key: str) -> str | None:
-    """Return the path of a key in the table of a part, or None if it is not a key.
+    """Return the path of a key in the table of a part, or None if the key is absent.
 
     An entry of a list is denoted by its number or its name: ``ports.tip`` or ``ports[0]``.
 
@@ -625,7 +626,7 @@ def compute_scene_hash(scene: Scene) -> str:
         if part.declares_ports:
             declaring.append(part.name)
     content["parts"] = parts
-    # A body without other parts in its scene always has all its ports.
+    # A body that is the only part of its scene always has all its ports.
     if scene.ports == "declared" and len(parts) > 1 and declaring:
         content["every_port"] = declaring
     text = json.dumps(content, sort_keys=True, separators=(",", ":"))
@@ -652,10 +653,10 @@ class BuiltScene:
 
     ``models`` contains the results of :meth:`PartType.build`, keyed by part. ``libraries`` contains
     the names of the subcircuits, keyed by part. ``trust`` states whether the user trusts included
-    netlists. ``unchecked_parts`` are parts whose parameters in the deck differ from the keys of the
-    scene. Unchecked parts have no checks and no energy balance. ``functions`` are Python functions
-    that set sources. ``largest_step`` is the upper limit of the time step of a transient.
-    ``records`` contains the build records of the parts
+    netlists. For ``unchecked_parts``, checks and energy balances are omitted, because the
+    parameters of these parts in the deck differ from the keys of the scene. ``functions`` are
+    Python functions that set sources. ``largest_step`` is the upper limit of the time step of a
+    transient. ``records`` contains the build records of the parts
     (:func:`kc2spice.scene.part_method_calls.add_results_and_sources`). ``results`` are the results
     that the simulator saves. ``dc_sweep`` is the sweep of a dc analysis. ``noise_output`` is the
     output of a noise analysis. ``laws`` are the equations of the parts
@@ -711,7 +712,7 @@ class BuiltScene:
 
     @property
     def sampled_sources(self) -> tuple[SampledSource, ...]:
-        """Sources whose values Python functions set during a transient."""
+        """Sources whose values Python functions set at sampling times of a transient."""
         if self.scene.analysis.type != "transient":
             return ()
         rows = chain.from_iterable(record.settable.values() for record in self.records.values())
@@ -719,7 +720,7 @@ class BuiltScene:
 
     @property
     def vectors(self) -> dict[str, PartResult]:
-        """ngspice expressions of the results of all parts, keyed by result name."""
+        """Result vectors of all parts: ngspice expressions, keyed by result name."""
         result: dict[str, PartResult] = {}
         for record in self.records.values():
             result |= record.vectors
@@ -775,11 +776,11 @@ class PartType(Generic[KeysT]):
 
     The class of the argument ``scene`` states the stage of the scene at which a method is called. A
     :class:`DeclaredScene` contains checked keys. A :class:`GovernedScene` extends a
-    :class:`DeclaredScene` by the information which parts move or copy other parts. A
-    :class:`JoinedScene` extends a :class:`GovernedScene` by the joins that keys imply. A
-    :class:`WiredScene` extends a :class:`JoinedScene` by pins and nets. A :class:`Scene` extends a
-    :class:`WiredScene` by numerical requirements. Only a :class:`BuiltScene` contains models. All
-    quantities are in SI units.
+    :class:`DeclaredScene` by the information about which parts move or copy other parts. A
+    :class:`JoinedScene` extends a :class:`GovernedScene` by the connections of pins that follow
+    from the keys of parts. A :class:`WiredScene` extends a :class:`JoinedScene` by pins and nets. A
+    :class:`Scene` extends a :class:`WiredScene` by numerical requirements. Only a
+    :class:`BuiltScene` contains models. All quantities are in SI units.
     """
 
     name: str
@@ -787,7 +788,7 @@ class PartType(Generic[KeysT]):
     schema: type[KeysT]
     # TOML tables of a small example scene, for ``kc2spice scenes --parts`` and the documentation
     example: str = ""
-    # origin of the model, printed by the command ``explain``
+    # source of the model, such as "data sheet" or "closed form"; the command ``explain`` prints it
     source: ClassVar[str] = "circuit"
     # whether the names of the part's results depend on the model
     results_of_model: ClassVar[bool] = False
@@ -795,6 +796,8 @@ class PartType(Generic[KeysT]):
     follows_frames: ClassVar[bool] = False
     #: whether files declare the ports of the bodies of this type
     ports_of_files: ClassVar[bool] = False
+    # pins that a part has only if its table contains a key, each with the name of this key
+    optional_pins: ClassVar[Mapping[str, str]] = {}
     # Dotted keys whose values are numbers of elements or of series terms.
     # The command ``verify`` also solves the scene with twice as many elements or series terms, and
     # compares the two solutions.
@@ -860,11 +863,11 @@ class PartType(Generic[KeysT]):
         return ()
 
     def shared_data(self, part: Part[KeysT], scene: GovernedScene) -> object:
-        """Return the data that the part shares with other part types, or None.
+        """Return data of the part that other parts read, such as surfaces, or None.
 
-        The class of the data is defined in the package of the part. For example, a loudspeaker
-        shares its parameters with the part type of its box. The data depend only on keys, and on
-        the parts that other parts move, copy or initialise. Other parts read
+        The class of the data is defined in the package of the part. For example, a contact shares
+        its pair of surfaces with the part type ``push``. The data depend only on keys, and on the
+        parts that other parts move, copy or initialise. Other parts read
         ``scene.get_record(part).shared_data``.
         """
         return None
@@ -1024,7 +1027,7 @@ class PartType(Generic[KeysT]):
         return build.scene.records[part.name].rest
 
     def vectors(self, part: Part[KeysT], build: BuiltScene) -> Mapping[str, PartResult]:
-        """Return the ngspice expression of each result of the part, keyed by result name.
+        """Return the ngspice vectors: expressions of the part's results, keyed by name.
 
         Each result is a :class:`PartResult`: an expression of voltages and currents of the netlist,
         with a factor to SI units and the SI unit. Probes, plots and :meth:`metrics` read the
@@ -1053,7 +1056,7 @@ class PartType(Generic[KeysT]):
     def corrected_waves(
         self, part: Part[KeysT], build: BuiltScene, waves: Waveforms
     ) -> Mapping[str, np.ndarray]:
-        """Return corrected waveforms that replace waveforms of the netlist.
+        """Return corrected waveforms, which include effects that the netlist neglects.
 
         The corrected waveforms are computed from other ``waves``, and contain effects that the
         netlist neglects. An example of a corrected waveform is a sound pressure off the axis of a
@@ -1095,11 +1098,11 @@ class PartType(Generic[KeysT]):
         """Compare the model with a model on a mesh with half the element size.
 
         ``most`` is the largest permitted number of unknowns of the finer mesh. For a plane mesh,
-        the largest permitted number is the product of ``most`` and
+        the largest permitted number of unknowns is the product of ``most`` and
         :data:`kc2spice.core.mesh_error_descriptions.PLANE_UNKNOWN_RATIO`. The results are checks of
         the differences between both models, or reasons for missing checks. If :meth:`build` with
-        ``full=True`` already refines a mesh key, the part type need not check the effect of this
-        key.
+        ``full=True`` already refines the mesh that a key controls, this method need not check the
+        effect of the key.
         """
         return ()
 

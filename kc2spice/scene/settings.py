@@ -52,7 +52,7 @@ class RomKeys(Section):
         ge=1,
         le=2000,
         description=(
-            "Number of unknowns of the reduced model; cannot be combined with the key `tolerance`"
+            "Number of unknowns of the reduced model; cannot be combined with `rom.tolerance`"
         ),
     )
     # Limit 1e-10: rounding errors of double precision exceed a smaller tolerance.
@@ -63,8 +63,8 @@ class RomKeys(Section):
         validate_default=True,
         description=(
             "Largest permitted relative error of the reduced model in the frequency band. "
-            "Default for most bodies: 1e-3 in an ac or noise analysis if the scene has no table "
-            "`rom` for the body, 1e-4 in all other cases. Some bodies have other defaults: "
+            "Default for most bodies: 0.1 % in an ac or noise analysis if the scene has no table "
+            "`rom` for the body, 0.01 % in all other cases. Some bodies have other defaults: "
             "`kc2spice explain` prints the value for each body"
         ),
     )
@@ -72,8 +72,8 @@ class RomKeys(Section):
         (0.0, 500e3),
         description=(
             "Lowest and highest frequency of the band in which the error estimate of the "
-            "reduced model holds. Default: 0 to 500 kHz if `order` or `tolerance` is "
-            "stated, otherwise the band that `kc2spice explain` prints for the body"
+            "reduced model holds. Default: 0 to 500 kHz if `rom.order` or `rom.tolerance` "
+            "is stated, otherwise the band that `kc2spice explain` prints for the body"
         ),
     )
     norm: Literal["pointwise", "peak"] | None = Field(
@@ -416,7 +416,7 @@ def _choose_default_scale(keys: dict[str, Any]) -> Literal["log", "linear"]:
 
 
 class Analysis(Section):
-    """Keys of the analysis that the simulator runs."""
+    """Keys of the scene table ``[analysis]``: the analysis that the simulator runs."""
 
     type: Literal["transient", "ac", "dc", "op", "noise"] = Field(
         "transient", description="Type of analysis that the simulator runs"
@@ -591,19 +591,21 @@ class ProbeKeys(Section):
                 raise make_invalid_value_error(problem, f'{key} with take = "{take}"', hint=hint)
         window = (self.from_, self.to, self.periods)
         if self.at is not None and any(item is not None for item in window):
-            expected = "at, or from and to, or periods"
+            expected = "`at`, or `from` and `to`, or `periods`"
             raise make_invalid_value_error(
-                "at cannot be combined with a window", expected, hint="delete the key `at`"
+                "`at` cannot be combined with `from`, `to` or `periods`",
+                expected,
+                hint="delete the key `at`",
             )
         if self.periods is not None and (self.from_ is not None or self.to is not None):
-            expected = "periods, or from and to"
+            expected = "`periods`, or `from` and `to`"
             raise make_invalid_value_error(
-                "periods cannot be combined with from or to",
+                "`periods` cannot be combined with `from` or `to`",
                 expected,
                 hint="delete the key `periods`",
             )
         if self.from_ is not None and self.to is not None and self.from_ >= self.to:
-            hint = "exchange from and to" if self.from_ > self.to else "raise the key `to`"
+            hint = "exchange `from` and `to`" if self.from_ > self.to else "raise the key `to`"
             raise make_invalid_value_error("the window is empty", "from < to", hint=hint)
         return self
 

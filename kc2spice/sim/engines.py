@@ -19,9 +19,9 @@ class Engine:
     """Engine that runs the decks of a scene in ngspice, as a process or as a library.
 
     ``directory`` contains the files of a run. If Python functions set the ``sampled`` sources,
-    ngspice runs as a library. ``refinements`` are additional small-signal analyses: with closely
-    spaced frequencies near resonances, and at single frequencies that probes state. If
-    ``from_rest`` is true, ngspice runs separately for each of the additional analyses
+    ngspice runs as a library. ``refinements`` are additional small-signal analyses: at closely
+    spaced frequencies near resonances, and at the single frequencies set in the table ``[probes]``.
+    If ``from_rest`` is true, ngspice runs separately for each of the additional analyses
     ``refinements``. In a single run, ngspice would begin each search for an operating point at the
     previous solution, and might find another operating point. ``timeout`` is the largest wall-clock
     time [s] of a run.
@@ -44,7 +44,7 @@ class Engine:
             # imported here, because few scenes need libngspice
             from kc2spice.sim.libngspice import run_in_libngspice
 
-            functions = [item.record_with_reset_function for item in self.sampled]
+            functions = [item.copy_in_initial_state for item in self.sampled]
             return run_in_libngspice(deck, functions, self.progress)
         within = () if self.from_rest else self.refinements
         first = run_deck(

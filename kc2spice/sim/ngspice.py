@@ -201,9 +201,11 @@ def _reject_large_deck(deck: Deck) -> None:
     """Reject a deck whose raw file would be too large even with the largest time step."""
     step, size = deck.max_step, _estimate_raw_bytes(deck)
     if step and deck.stop is not None and size > MAX_RAW_BYTES:
-        action = "raise solver.max_step, lower the end time, or save fewer vectors"
+        action = "raise solver.max_step, choose an earlier end time, or save fewer vectors"
         if deck.step_reason:
-            action = f"lower the end time; what needs short steps is {deck.step_reason}"
+            action = (
+                f"choose an earlier end time; reason for the short time steps: {deck.step_reason}"
+            )
         raise UsageError(
             "the waveforms of this run exceed the size limit",
             where=deck.main_file_name,
@@ -364,8 +366,8 @@ class RetrySetting:
         return replace(self, options=options, factor=factor)
 
     @property
-    def changes_text(self) -> str:
-        """Description of the settings that differ from the scene's settings."""
+    def changed_settings_text(self) -> str:
+        """Text that lists the solver settings that an attempt to run a deck changes."""
         words = [f"{key}={value}" for key, value in self.options.items()]
         if self.factor != 1.0:
             words.append(f"reltol, chgtol and largest step times {self.factor:g}")
@@ -397,13 +399,13 @@ RETRY_SETTINGS = (
     RetrySetting(
         "firmer pivots",
         ("timestep", "singular"),
-        "the pivots chosen at the first step lose the digits that short steps need",
+        "the pivot order of the first time step causes rounding errors at short time steps",
         {"pivrel": "0.1"},
     ),
     RetrySetting(
         "gear",
         ("timestep",),
-        "the trapezoidal rule rings where a switch or a stop changes the circuit at once",
+        "the trapezoidal rule rings after abrupt changes by a switch or a mechanical stop",
         {"pivrel": "0.1", "method": "gear"},
     ),
     RetrySetting(
@@ -534,7 +536,7 @@ def run_with_retries(
                 raise
         blame = failure.cause, failure.node, failure.time, failure.part
         wall = time.perf_counter() - start
-        attempts.append(Attempt(setting.name, setting.changes_text, *blame, wall, points))
+        attempts.append(Attempt(setting.name, setting.changed_settings_text, *blame, wall, points))
         if failure.cause is None:
             return RunOutcome(tried, waves, verdict, tuple(attempts))
         following = next((item for item in left if failure.kind in item.cures), None)
@@ -547,8 +549,8 @@ def run_with_retries(
         if following is None or len(attempts) > retries:
             vain = [f"{a.setting} ({a.settings})" for a in attempts[1:]]
             hints = [
-                vain and f"tried in vain: {', '.join(vain)}",
-                following and f"a larger solver.retries goes on with {following.name}",
+                vain and f"retries without success: {', '.join(vain)}",
+                following and f"increase solver.retries to also try {following.name}",
                 error.hint,
             ]
             last = RetriesFailedError(error.message)

@@ -71,7 +71,8 @@ _OPERATING_POINT_FAILURE = re.compile(
 )
 # Messages that consist of a card that ngspice cannot read, and of the reason in the next line.
 _CARD_ERROR = re.compile(
-    r"^Error on line:?[ \t]*\n[ \t]+(.+?)[ \t]*\n[ \t]+(.+?)[ \t]*$", re.M | re.I
+    r"^Error on line(?: \d+ or its substitute)?:?[ \t]*\n[ \t]+(.+?)[ \t]*\n[ \t]*(\S.*?)[ \t]*$",
+    re.M | re.I,
 )
 _TIME_PATTERN = re.compile(r"time = ([-+0-9.eE]+)", re.IGNORECASE)
 _STATISTICS_PATTERNS = {
@@ -82,8 +83,9 @@ _STATISTICS_PATTERNS = {
 }
 
 _ADVICE_BY_CAUSE: Mapping[FailureKind | None, str] = {
-    "timestep": "steps shrink where something jumps or is very stiff: try more damping or a softer "
-    "stop there, hysteresis or a finite edge of a switch, or a smaller solver.max_step",
+    "timestep": "time steps become small at discontinuities and in very stiff parts: try more "
+    "damping, a softer stop, hysteresis or a finite transition width of a switch, or a smaller "
+    "solver.max_step",
     "singular": "look for loops of voltage sources, nodes between capacitors and parts of value 0",
     "operating point": "look for the included circuit's state at t = 0; give it a .nodeset",
 }
@@ -277,7 +279,7 @@ class _Plot(NamedTuple):
     def get_first_points(self, points: int) -> dict[str, np.ndarray]:
         """Return the first points of all vectors, keyed by vector name.
 
-        ``points`` is the number of points. The independent variable is real.
+        ``points`` is the number of returned points. The independent variable is real.
         """
         rows = self.table[:points]
         columns = map(np.array, (rows[:, 0].real, *rows[:, 1:].T))
@@ -325,7 +327,7 @@ def join_analyses(analyses: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.
 
 
 def _read_plots(path: Path) -> Iterator[_Plot]:
-    """Yield all plots of a raw file.
+    """Yield the plots of a raw file; an ngspice plot is the data set of one analysis.
 
     An error is raised if a plot does not contain all points that its header states.
     """

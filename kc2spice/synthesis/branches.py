@@ -15,10 +15,10 @@ from kc2spice.rom.one_port_network import IDEAL_LEAD, CircuitBranch, ParallelBra
 LEAK_SHARE = 1e-9
 NETWORK_COMMENT = (
     "* Passive one-port: every branch between the two pins is R, L and C in series.",
-    "* Pins float: no other node is a reference. Every resistor has thermal noise.",
+    "* Both pins float: no element is connected to node 0. Every resistor generates thermal noise.",
 )
 _LEAD_COMMENT = "* R0 and L0: leads, which carry the current of all branches."
-_LEAK_COMMENT = "* Rleak gives a floating pin its operating point; no other direct current flows."
+_LEAK_COMMENT = "* Rleak is the DC path of a floating pin; no other direct current flows."
 
 
 def write_branch_cards(network: ParallelBranches, model: LinearModel) -> list[Line]:

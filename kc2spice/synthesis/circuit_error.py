@@ -140,8 +140,9 @@ class CircuitResponse:
     def convert_to_pins(self, H: np.ndarray, frequency: np.ndarray) -> np.ndarray:
         """Return the response ``H`` of the model, converted to quantities at the pins.
 
-        At an acceleration pin, the quantity is the force ``m a - y''`` with the mass m, the
-        acceleration a and the output y of the model.
+        At an acceleration pin, the quantity is the force ``m a - y''`` [N] with the body's mass m
+        and the frame's acceleration a. The second time derivative ``y''`` of the model's output y
+        [kg m] is a force.
         """
         result = H.copy()
         s = 2j * np.pi * frequency[:, None]
@@ -160,8 +161,8 @@ def accelerates_frame(port: Port) -> bool:
 def _make_unit_load(port: Port) -> dict[str, float]:
     """Return a load of one SI unit at a port, as a dictionary with one entry.
 
-    If a flow drives the port, the dictionary key is the node of the port. Otherwise, the dictionary
-    key is the current of the source that clamps the port.
+    If a flow drives the port, the dictionary key is the name of the port's node. If a source clamps
+    the port, the dictionary key is the name of the source's current, such as ``i(held_tip)``.
     """
     node = port.terminals[0].lower()
     unit = (
@@ -187,8 +188,10 @@ def compute_body_mass(model: LinearModel, port: Port) -> float:
     """Compute the mass [kg] of a body from the response at its acceleration port.
 
     The mass is the value ``mass_kg`` of the model. If the model does not state ``mass_kg``, the
-    mass m is ``C A B``. At high frequencies, the force ``m a - y''`` at the pin vanishes, because
-    the body does not follow the acceleration a. The output y then fulfils ``y'' = C A B a``.
+    mass is ``m = C A B``. A, B and C are the state-space matrices from the acceleration a of the
+    frame to the output y [kg m] of the port. At high frequencies, ``y''`` is ``C A B a``. The force
+    ``m a - y''`` [N] at the acceleration pin is zero at high frequencies, because the body does not
+    follow its frame.
     """
     known = model.facts.get("mass_kg")
     if known is not None:
@@ -247,9 +250,9 @@ def _select_frequencies(exact: Response, band: tuple[float, float], unknowns: in
 def require_circuit_tolerance(part: Subcircuit, model: LinearModel, tolerance: float) -> None:
     """Raise an error if the error estimate of a part's circuit exceeds the tolerance.
 
-    The function only prints a warning if rounding of the model's matrices changes the response as
-    much as the circuit error does. No circuit of a model can be more accurate than the rounding
-    errors of the model's matrices allow.
+    If rounding errors of the model's matrices change the response as much as the circuit error
+    does, the function prints a warning and raises no error. No circuit of a model can be more
+    accurate than the rounding errors of the model's matrices allow.
 
     Raises
     ------
@@ -266,8 +269,8 @@ def require_circuit_tolerance(part: Subcircuit, model: LinearModel, tolerance: f
     if share <= PERTURBATION_SPREAD * estimate_rounding_effect(model, frequency):
         warnings.warn(
             (
-                f"{part.name}: the error estimate is {got}; rounding errors of the original "
-                "matrices cause an error as large, so that no circuit is more accurate"
+                f"{part.name}: the error estimate is {got}; rounding errors in the matrices of the "
+                f"model alone can cause an error of {share:.2g}, so no circuit can be more accurate"
             ),
             stacklevel=2,
         )

@@ -42,8 +42,8 @@ ZERO_TIME = 1e-14
 # A mode whose factors at all ports are zero is omitted.
 ZERO_SHARE = 1e-9
 _NETWORK_COMMENT = """\
-* Heat network: 1 V is 1 K of temperature rise over the pin {base}, 1 A is 1 W into the pin.
-* Connect {base} to node 0, or to a source whose voltage is the temperature there.
+* Thermal network: 1 V from a pin to {base} is a temperature rise of 1 K, 1 A into the pin is 1 W.
+* Connect {base} to node 0, or to a source whose voltage is the ambient temperature.
 * Resistances [K/W] and heat capacities [J/K] are positive: the network is passive."""
 _MODES_COMMENT = "* Every mode is a thermal resistance in parallel with a heat capacity."
 _SERIES_COMMENT = "* The modes of the port are in series (Foster's form)."
@@ -52,9 +52,9 @@ _COUPLED_COMMENT = """\
 * port, and the heat flow times this factor flows into the node h1. The voltage of the node fPIN is
 * the heat flow into the pin PIN: 1 V on this node is 1 W."""
 _LADDER_COMMENT = """\
-* Cauer's form: capacities are between the nodes and {base}. The cumulative resistances and
-* capacities along the nodes, from the port on, are the structure function."""
-_STORED_COMMENT = "no path removes its heat; the leak gives it an operating point"
+* Cauer ladder: each heat capacity connects a node to {base}. Resistances and heat capacities, each
+* summed from the port inwards, form the structure function."""
+_STORED_COMMENT = "no heat path to ambient; its resistor is a leak that sets the DC operating point"
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,9 +224,9 @@ def _make_not_passive_error(model: LinearModel, got: str) -> UsageError:
 def write_heat_model(model: LinearModel, base: str) -> tuple[list[str], list[Line]]:
     """Return the netlist comments and the cards of a heat model.
 
-    The cards are between the ports of the model and the node ``base``. If the model has the
-    matrices of a ladder (Cauer's form), the network is this ladder; otherwise, the network consists
-    of modes.
+    The cards form a network between the ports of the model and the node ``base``. If the model has
+    the matrices of a ladder (Cauer's form), the network is this ladder; otherwise, the network
+    consists of modes.
     """
     about = _NETWORK_COMMENT.format(base=base).split("\n")
     ladder = find_heat_ladder(model)
@@ -244,14 +244,14 @@ def _write_ladder_cards(ladder: HeatLadder, pin: str, base: str) -> Iterator[Lin
     """Yield the cards of a ladder (Cauer's form) from a pin to ``base``."""
     node, count = pin, len(ladder.capacity)
     if ladder.direct > 0:
-        yield f"\n* Resistance in front of all heat capacities: {ladder.direct:.4g} K/W"
+        yield f"\n* Thermal resistance before the first heat capacity: {ladder.direct:.4g} K/W"
         yield Element.from_words("Rdirect", pin, "h1", ladder.direct)
         node = "h1"
     depth = ladder.direct + np.cumsum(ladder.resistance)
     content = np.cumsum(ladder.capacity)
     for j, (R, C) in enumerate(zip(ladder.resistance, ladder.capacity, strict=True)):
         following = base if j == count - 1 else f"h{j + 2}"
-        yield f"\n* Sums from the port on: {depth[j]:.4g} K/W, {content[j]:.4g} J/K"
+        yield f"\n* Cumulative from the port: {depth[j]:.4g} K/W, {content[j]:.4g} J/K"
         yield Element.from_words(f"C{j + 1}", node, base, float(C))
         yield Element.from_words(f"R{j + 1}", node, following, float(R))
         node = following
@@ -277,7 +277,7 @@ def _write_series_cards(modes: HeatModes, base: str) -> Iterator[Line]:
     """Yield the cards of a model with one port: modes in series (Foster's form)."""
     node, count = modes.ports[0].terminals[0], len(modes.resistance)
     if (direct := float(modes.direct[0, 0])) > 0:
-        yield f"\n* Resistance without a heat capacity: {direct:.4g} K/W"
+        yield f"\n* Thermal resistance without a heat capacity: {direct:.4g} K/W"
         yield Element.from_words("Rdirect", node, "h1", direct)
         node = "h1"
     for j in range(count):

@@ -21,7 +21,7 @@ METER = "Vheat"  # 0 V source that measures the heat flow into the pin ``heat``
 HEAT_PIN_ROWS = (Pin(HEAT, *THERMAL.units), Pin(AMBIENT, *THERMAL.units))
 _HEAT_COMMENT = (
     "",
-    f"* Losses of the modes as heat flows, whose sum leaves by {HEAT}: 1 A is 1 W",
+    f"* Modal losses as heat flows; their sum leaves through the pin {HEAT} (1 A is 1 W)",
 )
 # lower limit of the divisor ``damping`` in the heat flows, which avoids a division by zero
 _SMALLEST_DAMPING = "1p"

@@ -32,12 +32,14 @@ from kc2spice.netlist.subcircuit_library import (
 from kc2spice.rom.linear_model import Certificate, Port
 from kc2spice.scene.scene_classes import Terminal
 
-SIGN_TEXT = "um, m/s and N count upwards; 1 A into a pin pushes the part up with 1 N"
-FLOW_TEXT = "1 V counts from the reference, 1 A into the pin"
+SIGN_TEXT = (
+    "um, m/s and N are positive upwards; 1 A into a pin is an upward force of 1 N on the part"
+)
+FLOW_TEXT = "pin voltages are relative to the reference node; currents are positive into the pins"
 ROOM_TEXT = "constant temperature; no heating, ageing or failure"
 OUTWARDS_TEXT = (
-    "um and N count along each port's direction, out of the body; 1 A into a pin pushes the body "
-    "that way with 1 N"
+    "um and N are positive along each port's direction, out of the body; 1 A into a pin is a force "
+    "of 1 N on the body in this direction"
 )
 
 
@@ -55,12 +57,12 @@ def write_rom_comments(reduction: ReductionSummary, certificate: Certificate) ->
     lines also state whether stability or passivity is not proven.
     """
     errors = [f"{error:.2g} at {f:g} Hz" for f, error in certificate.above]
-    compliance = f"; error of the compliance there: {', '.join(errors)}" if errors else ""
+    compliance = f"; error of the compliance above the band: {', '.join(errors)}" if errors else ""
     share = f"{reduction.circuit_error:.1g} at {reduction.worst_hz:.4g} Hz"
     proofs = "" if certificate.stable and certificate.passive else certificate.proofs
     facts = certificate.method, proofs, f"emitted circuit to model: {share}"
     method = "; ".join(filter(None, facts))
-    above = "no error estimate above the band, which a contact or a steep edge can excite"
+    above = "no error estimate above the band, where a contact or a steep edge can excite modes"
     first, *more = wrap_comment(f"rom: ({method}); {above}{compliance}")
     return f"* rom: {reduction.summary}", first.replace("* rom:", "*  ", 1), *more
 

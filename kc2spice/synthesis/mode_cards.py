@@ -103,7 +103,7 @@ _RESONATORS_COMMENT = """\
 * modes decrease with the power {power} of the frequency: these modes limit the time steps less.
 * {reference}: connect it to node 0. Electrical pins float."""
 _LIGHT_DAMPING_COMMENT = """\
-* Modes with a Q above {quality:g} have p = q + q'/omega, which gives pivots on the diagonal."""
+* Modes with a Q above {quality:g} use the state p = q + q'/omega: no diagonal pivot is zero."""
 
 
 def write_resonators(
@@ -226,8 +226,9 @@ def _describe_resonators(
     domains = list_port_domains(map(attrgetter("port"), terminals))
     if has_other_reference(domains):
         units = dict.fromkeys(map(attrgetter("output_unit"), domains))
-        words["answer"] = f"answer of a port in 1e-6 {' or '.join(units)}"
-        words["reference"], lines = f"Values of pins count from {base}", []
+        words["answer"] = f"response of a port in 1e-6 {' or '.join(units)}"
+        words["reference"] = f"{base} is the reference of all non-electrical pins"
+        lines = []
     return [*lines, *_RESONATORS_COMMENT.format(**words).split("\n")]
 
 
@@ -303,7 +304,7 @@ def describe_branch(
 def _write_massless_mode(j: int, omega: float, damp: float, base: str) -> Iterator[Line]:
     """Yield the cards of a mode that has no mass."""
     hertz, time = omega / (2 * np.pi), damp / omega**2
-    yield f"\n* Without inertia, from {hertz:.6g} Hz on: relaxes within {time:.6g} s"
+    yield f"\n* Massless mode {j}, {hertz:.6g} Hz: relaxes with a time constant of {time:.6g} s"
     if time > 0:
         yield Element.from_words(
             f"Cq{j}", f"q{j}", base, f"{{damping*{format_number(STATE_CONDUCTANCE * time)}}}"
@@ -335,7 +336,7 @@ def make_mode_sources(
     result = []
     for t in sorted(terminals, key=lambda t: "fvs".index(t.source_letter)):
         suffix = f"{index}{t.tag}" if t.port.is_paired else f"{t.pins[0]}_{index}"
-        result.append(t.weigh_input(f"G{t.source_letter}{suffix}", row, base))
+        result.append(t.make_weighted_source(f"G{t.source_letter}{suffix}", row, base))
     return result
 
 

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kc2spice.core.argument_and_option_names import check_arguments
 from kc2spice.core.domains import HEAT, HEAT_PINS
 from kc2spice.core.errors import UsageError
 from kc2spice.core.naming import list_names
@@ -70,6 +71,7 @@ RATED_BY_HEAT = "not known; keep temperatures within the limits of its materials
 UNRATED = "not known; keep field and stress within the limits of its materials"
 
 
+@check_arguments
 def subcircuit(
     rom: LinearModel,
     name: str,
@@ -186,9 +188,7 @@ def subcircuit(
         about, body = write_resonators(form, rom, terminals, base, weights, noise)
         losses = list(write_losses(form, terminals, base)) if heat else []
     elif heat:
-        raise _make_unknown_losses_error(
-            name, "a model of coupled states, or ports that are signals"
-        )
+        raise _make_unknown_losses_error(name, "a model with coupled states, or with signal ports")
     else:
         about, body = write_blocks(form, rom, terminals, base)
         if base == "ref":
@@ -272,7 +272,7 @@ def make_heat_header_texts(rating: str) -> dict[str, Any]:
     return {
         "title": "reduced heat model",
         "rating": RATED_BY_HEAT if rating == UNRATED else rating,
-        "valid": "conductivities and heat capacities of its data, whatever the temperature",
+        "valid": "constant conductivities and heat capacities; no temperature dependence",
     }
 
 
@@ -315,7 +315,7 @@ def make_subcircuit(
         reduction = _summarise_reduction(circuit, pins, rom.order, certificate, compared)
     absent = "no hysteresis, depolarisation or heating"
     if losses:
-        absent = "no hysteresis or depolarisation; nothing follows the temperature"
+        absent = "no hysteresis or depolarisation; no temperature dependence"
         pins = (*pins, *HEAT_PIN_ROWS)
         ends, items = (
             tuple(map(attrgetter("name"), pins)),

@@ -18,7 +18,7 @@ from kc2spice.rom.range_reduction import ModelOverRanges
 # Circuit and model are also compared at the corners of the parameter range.
 RANDOM_POINT_COUNT = 6
 RANGE_STOPS = """
-* Outside of its range a parameter stops the simulator at these cards: nothing is extrapolated."""
+* These cards stop the simulation if a parameter is outside its range: nothing is extrapolated."""
 
 
 def list_parameters(model: ModelOverRanges) -> list[Param]:

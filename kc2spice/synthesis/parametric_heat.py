@@ -56,10 +56,11 @@ RESERVED_BY_HEAT = r"change\d+|inside\d+"
 # The entry is relative to the geometric mean of the diagonal entries in its row and column.
 NEGLIGIBLE_ENTRY = 1e-15
 _NETWORK_COMMENTS = """\
-* Heat network over ranges of parameters: 1 V is 1 K of temperature rise over the pin {base}, 1 A is
-* 1 W into the pin. Connect {base} to node 0, or to a source whose voltage is the temperature there.
+* Parametric thermal network: 1 V from a pin to {base} is a temperature rise of 1 K,
+* 1 A into the pin is 1 W. Connect {base} to node 0, or to a source whose voltage is the ambient
+* temperature.
 * At the default values, every mode is a thermal resistance [K/W] in parallel with a heat capacity
-* [J/K]. The change of a parameter changes these values and couples the modes in proportion.
+* [J/K]. Other values of the parameters change R and C of the modes, and couple the modes.
 * Ideal transformers connect ports and modes: V(h1) times a factor adds to the temperature of the
 * port, and the heat flow times this factor flows into the node h1. The voltage of the node fPIN is
 * the heat flow into the pin PIN: 1 V on this node is 1 W."""
@@ -143,10 +144,10 @@ def _make_modal_network(model: HeatOverRanges, parameters: Sequence[Param]) -> _
 def _write_change(
     powers: np.ndarray, parameters: Sequence[Param], scales: np.ndarray, start: float
 ) -> str:
-    """Write the change of a product of parameter powers: the product minus ``start``.
+    """Write the change of a product of powers of parameters from its default value.
 
-    The expression is ``prod_k (p_k / s_k)^a_k - start``. The symbols are the parameters p, the
-    ``scales`` s and the ``powers`` a, which are -1, 0 or 1.
+    The expression is ``prod_k (p_k / s_k)^a_k - start`` with the default value ``start``. The
+    symbols are the parameters p, the ``scales`` s and the ``powers`` a, which are -1, 0 or 1.
     """
     text = ""
     for p, scale, power in zip(parameters, scales, powers, strict=True):
@@ -184,7 +185,7 @@ class _ModalNetwork:
     def cards(self, base: str) -> Iterator[Line]:
         """Yield the cards of each mode, followed by the cards that couple the modes."""
         for j in range(len(self.modes.resistance)):
-            yield describe_heat_mode(self.modes, j).replace(":", " at the defaults:", 1)
+            yield describe_heat_mode(self.modes, j).replace(":", " at the default values:", 1)
             yield from self._write_mode_elements(j, base)
             yield from write_heat_flows(self.modes, j, base)
         yield "\n* Changes of the parameters couple the modes."

@@ -14,6 +14,7 @@ from operator import attrgetter
 
 import numpy as np
 
+from kc2spice.core.argument_and_option_names import check_arguments
 from kc2spice.core.domains import ACOUSTIC, ELECTRICAL, ROTATION, THERMAL, TRANSLATION
 from kc2spice.core.errors import UsageError
 from kc2spice.core.si_prefix_format import format_quantity
@@ -72,12 +73,13 @@ _RESONATOR_COMMENT = """\
 * ranges form one block with the positive stiffness k = L L'.
 * {reference}: connect it to node 0. Electrical pins float."""
 _SOFT_SUPPORT_COMMENT = """\
-* Nothing holds the body. A soft support with a resonance of {resonance}, far below the band, holds
-* the body at rest."""
+* The body is unconstrained. A soft support with a resonance of {resonance}, far below the band,
+* determines the rest position of the body."""
 
 _DOMAINS = (ELECTRICAL, TRANSLATION, ROTATION, ACOUSTIC)
 
 
+@check_arguments
 def parametric_subcircuit(
     model: ModelOverRanges,
     name: str,
@@ -150,7 +152,7 @@ def parametric_subcircuit(
         return make_heat_range_subcircuit(model, name, parameters, header, rating=rating)
     defaults = map(attrgetter("default"), parameters)
     rom = model.evaluate(dict(zip(model.parameter_axes, defaults, strict=True)))
-    require_parametric_form(model.ports, [item.name for item in parameters], name)
+    require_supported_ports_and_names(model.ports, [item.name for item in parameters], name)
     terminals = make_terminals(rom, rom.D, name)
     pins, base = list_subcircuit_pins(terminals, name)
     body = [
@@ -182,12 +184,15 @@ def _describe_resonators(ports: Sequence[Port], base: str) -> str:
         )
     units = " or ".join(dict.fromkeys(map(attrgetter("output_unit"), domains)))
     return _RESONATOR_COMMENT.format(
-        answer=f"answer of a port in 1e-6 {units}", reference=f"Values of pins count from {base}"
+        answer=f"response of a port in 1e-6 {units}",
+        reference=f"{base} is the reference of all non-electrical pins",
     )
 
 
-def require_parametric_form(ports: Iterable[Port], parameters: Sequence[str], name: str) -> None:
-    """Reject ports and parameter names that parametric subcircuits do not support.
+def require_supported_ports_and_names(
+    ports: Iterable[Port], parameters: Sequence[str], name: str
+) -> None:
+    """Require that a parametric subcircuit supports all ports and parameter names.
 
     ``name`` is the name of the subcircuit. The check is fast, so that it can precede a long
     reduction.
@@ -241,7 +246,11 @@ def _write_parameter_cards(
 def _write_coordinate_cards(
     model: ResonatorsOverRanges, parameters: Sequence[Param]
 ) -> Iterator[Parameters]:
-    """Yield the cards of the coordinates x1, x2, ... and their Chebyshev polynomials."""
+    """Yield cards of parameter coordinates x1, x2, ... and of Chebyshev polynomials.
+
+    The coordinate of a parameter is its logarithm, scaled to -1 at the low end and 1 at the high
+    end of its range. The polynomials are the Chebyshev polynomials of the coordinates.
+    """
     highest = model.exponents.max(axis=0, initial=0) if len(parameters) else []
     for k, (p, axis, top) in enumerate(zip(parameters, model.axes, highest, strict=True), 1):
         slope = 2 / np.log(axis.high / axis.low)
@@ -401,7 +410,7 @@ class _PortAndModeWriter:
                 sums += (
                     self._write_rate_source(i, k)
                     if t.port.has_charge_output
-                    else self._weigh_state(i, k, f"{i}")
+                    else self._write_state_source(i, k, f"{i}")
                 )
             return replace(t, sums=tuple(sums))
         n, micro = self.electrodes.index(t), format_number(1 / MICRO)
@@ -413,7 +422,7 @@ class _PortAndModeWriter:
                 shared.append(Transconductance(f"u{m + 1}", *nodes, charge))
         return replace(t, capacitance=_name_capacitance(n, n), through=tuple(shared))
 
-    def _weigh_state(self, i: int, k: int, label: str) -> Iterator[Transconductance]:
+    def _write_state_source(self, i: int, k: int, label: str) -> Iterator[Transconductance]:
         """Yield the source that adds the state of a mode to the output of a port.
 
         The state is q of mode i, and the port has the number k. Nothing is yielded if the gain of
@@ -448,10 +457,10 @@ class _PortAndModeWriter:
         omega = self.omega[at : at + size]
         if size > 1:
             hertz = ", ".join(map("{:.6g}".format, omega / (2 * np.pi)))
-            return f"\n* Block of {hertz} Hz at the defaults"
+            return f"\n* Block of coupled modes, at the default values: {hertz} Hz"
         gain, damp = self.gain, self.damp[at]
         branch = describe_branch(damp, omega[0], gain[at], gain, self.terminals)
-        return f"\n* Mode {at + 1}, at the defaults: {describe_mode(omega[0], damp)}{branch}"
+        return f"\n* Mode {at + 1}, at the default values: {describe_mode(omega[0], damp)}{branch}"
 
     def _write_mode(self, i: int) -> Iterator[Line]:
         """Yield the elements of one mode, and sources of the charges that it causes."""
@@ -476,7 +485,7 @@ class _PortAndModeWriter:
         drives = filter(attrgetter("value"), make_mode_sources(i, row, self.terminals, base))
         yield from connect_sources(drives, base, f"p{i}")
         for t in self.electrodes:
-            charges = self._weigh_state(i, t.column or 0, f"Gc{i}{t.tag}")
+            charges = self._write_state_source(i, t.column or 0, f"Gc{i}{t.tag}")
             yield from connect_sources(charges, base, f"charge{t.tag}")
 
 

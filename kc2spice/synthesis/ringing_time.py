@@ -36,7 +36,7 @@ STATE_SECONDS = 1.4e-6
 
 @dataclass(frozen=True)
 class RingingEstimate:
-    """Estimate of the computing time that the ringing of a body causes in a run.
+    """Estimate of ringing: time points and CPU time that a body costs if it rings.
 
     ``points`` is the number of time points, and ``seconds`` the CPU time [s]. ``frequency`` is the
     frequency [Hz] of the fastest mode that rings until the end of the run.
@@ -50,9 +50,10 @@ class RingingEstimate:
     def __str__(self) -> str:
         top = format_quantity(self.frequency, "Hz", 3)
         return (
-            f"{self.part} rings at up to {top} until the end of the run, as its damping is small: "
-            f"about {self.points:.2g} time points, {self.seconds:.2g} s of CPU. A larger "
-            f"{self.part}.damping or an earlier solver.stop takes fewer"
+            f"{self.part} rings at frequencies up to {top} until the end of the run, because its "
+            f"damping is low. The ringing takes about {self.points:.2g} time points and "
+            f"{self.seconds:.2g} s of CPU time. A larger {self.part}.damping or an earlier "
+            "solver.stop reduces the number of time points and the CPU time"
         )
 
 
@@ -64,7 +65,7 @@ def estimate_time_per_point(states: int) -> float:
 def estimate_ringing(
     part: str, rom: LinearModel, stop: float, reltol: float
 ) -> RingingEstimate | None:
-    """Estimate the number of time points of a run in which all modes of a body ring.
+    """Estimate the time points and CPU time that the ringing of a body costs in a run.
 
     Parameters
     ----------

@@ -43,8 +43,8 @@ _STATES_COMMENT = """\
 *
 * The states are scaled to about 1 V for a constant input of 1 V. {base} is the reference of all
 * pins that are not electrical: connect it to node 0."""
-_LOOP_NOTE = "no states, but loops of signals: the sum of the currents into each node is zero"
-_INTEGRATOR_COMMENT = "* The leak gives a free integrator an operating point."
+_LOOP_NOTE = "algebraic loops without capacitors; the currents into each node sum to zero"
+_INTEGRATOR_COMMENT = "* The leak conductance is the DC path of an integrator."
 
 
 def write_blocks(

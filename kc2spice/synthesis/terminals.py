@@ -34,30 +34,31 @@ CROSS_ROUNDING = 1e-13
 NEGLIGIBLE_JUMP = 1e-9
 INNER_NODE_PATTERN = r"tick|(inner|current|charge)\w*|sum\d+|[qpz]\d+|noise\d+"
 OUTWARDS_COMMENT = (
-    "* Positive um are along a port's outward direction. A current into its pin is a force on the",
-    "* body along that direction (rotations: right-hand rule of the port's axis).",
+    "* Displacements (um) are positive along a port's outward direction. A current into its pin is",
+    "* a force on the body in this direction (rotations: right-hand rule of the port's axis).",
 )
 _CLAMPED_COMMENT = """
-* Electrical port{name}: the clamped capacitance of {farad:.6g} F in series with the voltage
-* -charge/capacitance of the charge that the modes move (1 V on charge = 1 uC).
-* Cclamped has {share} of the capacitance, and Gmore adds the other part of the current, so that the
-* time steps follow the motion of the body and not the current. The voltage of node current is the
-* total current. Gleak gives a floating electrode an operating point: its charge decays within
-* {seconds:g} s."""
+* Electrical port{name}: the clamped capacitance of {farad:.6g} F is in series with the voltage
+* -charge/capacitance. The node charge has the electrode charge due to the modes (1 V = 1 uC).
+* Cclamped carries the fraction {share} of the current, and Gmore carries the rest. Therefore the
+* motion of the body, not the electrical current, determines the time steps. The voltage of the node
+* current is the total current. Gleak is the DC path of a floating electrode: its charge decays with
+* a time constant of {seconds:g} s."""
 _CLAMPED_PIN_COMMENT = """
-* Port {pin}: 1 V is 1 {across} over {base}, 1 A is 1 {flow} into the body. The capacitance of
-* {farad:.6g} F stores the part that follows at once, in series with the voltage
-* -charge/capacitance of the part that the modes store (1 V on charge = 1 uC, thus 1e-6 {flow} s).
-* Cclamped has {share} of the capacitance, and Gmore adds the other part of the current. The voltage
-* of node current is the total current. Gleak gives the pin an operating point: the charge decays
-* within {seconds:g} s."""
+* Port {pin}: 1 V is 1 {across} relative to {base}, 1 A is 1 {flow} into the body.
+* Charge is the time integral of the current. The capacitance of {farad:.6g} F is in series with
+* the voltage -charge/capacitance. The node charge has the charge due to the modes (1 V = 1 uC, that
+* is 1e-6 {flow} s). Cclamped carries the fraction {share} of the current, and Gmore carries the
+* rest. The voltage of the node current is the total current. Gleak is the DC path of the pin: the
+* charge decays with a time constant of {seconds:g} s."""
 _UNCLAMPED_PIN_COMMENT = """
-* Port {pin}: 1 V is 1 {across} over {base}, 1 A is 1 {flow} into the body. Its current is the rate
-* of the quantity that the states store. Gleak gives the pin an operating point."""
+* Port {pin}: 1 V is 1 {across} relative to {base}, 1 A is 1 {flow} into the body.
+* The current is the time derivative of the quantity that the states store. Gleak is the DC path of
+* the pin."""
 _UNCLAMPED_COMMENT = """
-* Electrical port {name} has no clamped capacitance: its current is the rate of the charge
-* that the states move.
-* Gleak gives a floating electrode an operating point."""
+* Electrical port {name} has no clamped capacitance: its current is the time derivative of the
+* charge due to the states.
+* Gleak is the DC path of a floating electrode."""
 _MOTION_COMMENT = """
 * Port {pin}: its displacement u is the sum of the modes (1 V = 1 um). The voltage of node f is the
 * force that keeps the pin at u (1 V = 1 N)."""
@@ -86,7 +87,8 @@ def scale_value(factor: float, value: Value) -> Value:
 class Transconductance:
     """Current source that the voltage between two nodes controls.
 
-    The nodes are ``plus`` and ``minus``. ``value`` is the transconductance [A/V].
+    The voltage from node ``plus`` to node ``minus`` controls the current. ``value`` is the
+    transconductance [A/V].
     """
 
     label: str
@@ -187,10 +189,10 @@ class PortTerminal:
             (f"f{self.pins[0]}", base) if self.port.is_flow_driven else self.get_driven_pins(base)
         )
 
-    def weigh_input(
+    def make_weighted_source(
         self, label: str, row: np.ndarray | Sequence[Value], base: str
     ) -> Transconductance:
-        """Return a current source that the port's input controls, scaled by a weight.
+        """Make a current source whose current is the weighted input of the port.
 
         ``row`` contains the weights of all inputs.
         """
@@ -206,8 +208,8 @@ class StateNodes:
 
     The model is ``z' = A z + B u``, ``y = C z + D u`` with the states z. Each state is the voltage
     of one of the ``nodes``. The outputs y are the voltages of the output nodes of the ports.
-    ``labels`` contains one name suffix for each state. The names of the controlled sources that
-    depend on a state end with its suffix.
+    ``labels`` contains one name suffix for each state. The name of each controlled source that
+    depends on a state ends with the suffix of this state.
     """
 
     nodes: Sequence[str]
@@ -239,7 +241,7 @@ def write_weighted_sources(
     result = []
     for t in terminals:
         if t.column is not None and row[t.column]:
-            result.append(t.weigh_input(f"{mark}{t.column + 1}", row, base))
+            result.append(t.make_weighted_source(f"{mark}{t.column + 1}", row, base))
     return tuple(result)
 
 
@@ -291,7 +293,7 @@ def make_terminals(rom: LinearModel, D: np.ndarray, where: str) -> list[PortTerm
 
 
 def _compute_pin_capacitance(domain: Domain | None, stored: Any) -> float:
-    """Compute the pin capacitance [F] that represents a port's stored quantity.
+    """Compute the pin capacitance [F] for the charge or volume that a port stores.
 
     ``stored`` is the stored quantity, such as a charge, per unit of the across quantity in SI
     units.
@@ -362,7 +364,7 @@ def require_distinct_pins(pins: Iterable[Pin], inner: Iterable[str], name: str) 
 
 
 def find_reference_pin(ports: Sequence[Port]) -> Pin:
-    """Return the reference pin of all pins that do not belong to pairs.
+    """Return the common reference pin of all pins that do not belong to pairs.
 
     In a model with mechanical ports, the reference pin is called ``base``. If a pin of a port is
     already called ``base``, the reference pin is called ``ground``.
@@ -388,8 +390,9 @@ class OutputSourceWriter:
 
     The outputs are ``y = C z + D u``. At an electrical port without a clamped capacitance, the
     sources provide the current ``y' = C A z + C B u``. At an acceleration port, the sources provide
-    the force ``m a - y''`` with ``y'' = C A^2 z + C A B u``. At an acceleration port, C B must be
-    zero, as in all models whose moving parts have inertia.
+    the force ``m a - y''`` [N] with the body's mass m, the frame's acceleration a and ``y'' = C A^2
+    z + C A B u``. At an acceleration port, C B must be zero, as in all models whose moving parts
+    have inertia.
     """
 
     terminals: Sequence[PortTerminal]
@@ -418,7 +421,7 @@ class OutputSourceWriter:
             direct[t.column] = 0.0
             if not t.clamped:
                 return self._connect_unclamped_electrode(t, direct)
-        return replace(t, sums=self._weigh_states(row), through=self._weigh_inputs_only(direct))
+        return replace(t, sums=self._write_state_sum(row), through=self._write_input_sum(direct))
 
     def _make_acceleration_terminal(self, t: PortTerminal) -> PortTerminal:
         """Return the terminal of an acceleration port with the sources of its force."""
@@ -427,11 +430,12 @@ class OutputSourceWriter:
         at_once = np.abs(self.D[t.row] - self.rom.D[t.row]) > CROSS_ROUNDING * np.abs(self.D).max()
         if jump.any() or at_once.any():
             raise UsageError(
-                "netlists do not support an acceleration port that acts on states without inertia",
+                "netlists do not support an acceleration port that acts on states without inertia, "
+                "because the output of the port, or the rate of the output, then jumps",
                 where=t.port_name,
-                got="an output whose rate jumps when an input jumps"
+                got="an acceleration port with an output whose rate jumps when an input jumps"
                 if jump.any()
-                else "an output that jumps when an input jumps",
+                else "an acceleration port with an output that jumps when an input jumps",
                 expected="an acceleration port that acts only on states with inertia",
                 hint="set the rows of B and the columns of C of all states without inertia to zero",
             )
@@ -439,8 +443,8 @@ class OutputSourceWriter:
         force = -(rate @ states.B)
         mass = self.rom.facts.get("mass_kg")
         force[t.column] = 0.0 if mass is None else mass + force[t.column]
-        sums = self._weigh_states(-(rate @ states.A))
-        return replace(t, sums=sums, through=self._weigh_inputs_only(force))
+        sums = self._write_state_sum(-(rate @ states.A))
+        return replace(t, sums=sums, through=self._write_input_sum(force))
 
     def _connect_unclamped_electrode(self, t: PortTerminal, direct: np.ndarray) -> PortTerminal:
         """Connect an electrode without clamped capacitance to the sources of its current.
@@ -455,17 +459,17 @@ class OutputSourceWriter:
                 expected="a positive semi-definite matrix D",
             )
         row = self.states.C[t.row]
-        jumps = self._weigh_inputs_only(MICRO * row @ self.states.B, mark="tu")
-        return replace(t, sums=self._weigh_states(MICRO * row @ self.states.A) + jumps)
+        jumps = self._write_input_sum(MICRO * row @ self.states.B, mark="tu")
+        return replace(t, sums=self._write_state_sum(MICRO * row @ self.states.A) + jumps)
 
-    def _weigh_states(self, row: np.ndarray) -> tuple[Transconductance, ...]:
+    def _write_state_sum(self, row: np.ndarray) -> tuple[Transconductance, ...]:
         """Return sources whose total current is a weighted sum of the states.
 
         ``row`` contains the weights.
         """
         return self.states.write_state_sum(row, self.base)
 
-    def _weigh_inputs_only(self, row: np.ndarray, mark: str = "u") -> tuple[Transconductance, ...]:
+    def _write_input_sum(self, row: np.ndarray, mark: str = "u") -> tuple[Transconductance, ...]:
         """Return sources whose total current is a weighted sum of the port inputs.
 
         ``row`` contains the weights. Inputs whose weight is a rounding error are omitted.
@@ -541,7 +545,7 @@ def _list_pin_comment_values(t: PortTerminal, base: str) -> dict[str, str]:
 
 
 def has_other_reference(domains: Iterable[Domain]) -> bool:
-    """Return whether pins other than ``base`` are the references of all domains.
+    """Return whether domains have reference pins, all of them other than ``base``.
 
     The result is false if no domain has a reference pin.
     """

@@ -143,7 +143,10 @@ class _SettingSearch:
 
     @cached_property
     def errors_of_finest_settings(self) -> Errors:
-        """Error of each metric due to the settings that cannot be refined further."""
+        """Errors of the metrics due to the finest settings, estimated by coarser runs.
+
+        The finest settings are the settings that cannot be refined further.
+        """
         return settings_refinement.estimate_by_coarser_runs(self.runs, {}, self.finest, self.names)
 
     def estimate_error(self) -> dict[str, Any] | None:
@@ -274,7 +277,7 @@ class _SettingSearch:
                     )
 
     def measure_times(self, repeats: int, progress: Progress) -> None:
-        """Measure CPU times of all but slow combinations of settings by repeated runs."""
+        """Measure CPU times by repeated runs; skip slow combinations of settings."""
         longest = SLOW_TIME_RATIO * self.points[_describe_settings({})].median_time
         repeated = [point for point in self.points.values() if point.median_time <= longest]
         for turn in range(1, repeats):
@@ -319,8 +322,8 @@ def bench(
     The files ``bench.json`` and ``bench.html`` are written into ``out``. The result is the content
     of ``bench.json``. The error of a combination of settings is the largest relative error of the
     metrics named in ``metric``. By default, ``metric`` is the value of the key ``bench.metric``. If
-    ``bench.metric`` is not set, the metrics are all single numbers that change by at most
-    :data:`MAX_METRIC_CHANGE` between the two finest runs.
+    ``bench.metric`` is not set, ``bench`` uses each metric that is a single number and changes by
+    at most :data:`MAX_METRIC_CHANGE` between the two finest runs.
 
     Raises
     ------
@@ -330,7 +333,7 @@ def bench(
     """
     simulator = find_ngspice()
     with stage_directory(out) as work:
-        progress("models", None, "the scene as it is")
+        progress("models", None, "unmodified scene")
         run = settings_refinement.evaluate_scene(scene, StageTimer(), trust=trust, retries=0)
         search, requested = _SettingSearch(run), metric or scene.bench.metric
         selected = _select_metrics(run, requested)
@@ -459,7 +462,7 @@ def _format_set_options(settings: Mapping[str, Any]) -> list[str]:
 def _describe_settings(settings: Mapping[str, Any]) -> str:
     """Return a text that describes changed settings."""
     words = (f"{key} {_format_setting(value)}" for key, value in settings.items())
-    return ", ".join(words) or "as it is"
+    return ", ".join(words) or "unmodified scene"
 
 
 def _format_setting(value: Any) -> str:

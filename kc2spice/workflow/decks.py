@@ -194,7 +194,9 @@ def _list_deck_cards(
             name = f"L{names.allocate_name(net, f'{net}_held')}"
             inductors.append(Element.from_words(name, net, "0", format_number(HOLD_INDUCTANCE)))
     if inductors:
-        yield from add_title("held at the operating point alone: nothing else does", inductors)
+        yield from add_title(
+            "inductors that ground floating nets at the operating point only", inductors
+        )
 
 
 def _list_options(build: BuiltScene) -> Iterable[Option]:
@@ -214,11 +216,13 @@ def _list_options(build: BuiltScene) -> Iterable[Option]:
     chgtol = solver.chgtol * min(map(attrgetter("chgtol"), rows), default=1.0)
     return [
         Option("reltol", reltol, "relative error of a time step"),
-        Option("trtol", solver.trtol, "trust the error estimate: take every step it asks for"),
+        Option("trtol", solver.trtol, "assumed ratio of estimated to actual truncation error"),
         Option(
-            "chgtol", chgtol, f"C on 1 uF, thus {1e6 * chgtol:g} um: displacement error of a step"
+            "chgtol",
+            chgtol,
+            f"charge error per time step [C]: a displacement error of {1e6 * chgtol:g} um at 1 uF",
         ),
-        Option("method", solver.method, "rule of integration"),
+        Option("method", solver.method, "integration rule"),
         Option("acct", "", "print accepted and rejected steps, iterations and time"),
         *part_options,
     ]

@@ -16,7 +16,7 @@ from kc2spice.bodies.readers.measured_admittance import (
     parse_shunt_resistance,
     read_measured,
 )
-from kc2spice.core.argument_and_option_names import use_arguments_in_errors
+from kc2spice.core.argument_and_option_names import check_arguments, use_arguments_in_errors
 from kc2spice.core.errors import NamedValues, UsageError
 from kc2spice.core.files import stage_directory
 from kc2spice.core.progress import Progress, ignore_progress
@@ -60,6 +60,7 @@ RANGES_FILE = "box.toml"
 PAGE_FILE = "report.html"
 
 
+@check_arguments
 @use_arguments_in_errors()
 def fit(
     scene: Scene | str | Path | Mapping[str, Any],
@@ -101,10 +102,10 @@ def fit(
         with the keys ``file``, ``set``, ``band`` and ``predict``.
     vary : sequence of str, or mapping of str to pair of floats or None
         Keys of the body, each with a range. In a sequence, the string ``KEY=low:high`` states the
-        range of a key in SI units or with units. In a mapping, the pair (low, high) states the
-        range of a key in SI units. By default, a range extends from the scene's value divided by
-        1.3 to the scene's value times 1.3. For losses, the default range extends from a tenth of
-        the scene's value to ten times the scene's value.
+        range of a key; numbers without a unit are in SI units. In a mapping, the pair (low, high)
+        states the range of a key in SI units. By default, a range extends from the scene's value
+        divided by 1.3 to the scene's value times 1.3. For losses, the default range extends from a
+        tenth of the scene's value to ten times the scene's value.
     out : Path, optional
         Directory for three files: the fitted values (``fit.toml``), parameter ranges of the netlist
         that extend two standard errors around the values (``box.toml``), and a report page. By

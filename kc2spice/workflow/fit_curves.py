@@ -113,7 +113,7 @@ def read_curves(
                 expected=f"a TOML file of at most {MAX_BYTES} bytes with tables [[curve]]",
                 hint=f"write for example  {EXAMPLE}",
             ) from None
-        tables: Mapping[str, Any] = parse_toml_file(text, where)
+        tables: Mapping[str, Any] = parse_toml_file(text, where, ("curve",))
     else:
         where, folder, tables = "data", Path(), {"curve": list(data)}
     entries = validate_table(MeasurementListKeys, tables, f"{where}:").curve

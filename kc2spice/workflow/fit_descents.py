@@ -30,7 +30,7 @@ RANDOM_SAMPLES = 64
 DESCENT_COUNT = 4
 # Width of a key's parameter range in a repeated fit, divided by its width in the previous fit.
 RANGE_RATIO = 0.25
-# Smallest half-width of the parameter range of a key's natural logarithm.
+# Smallest half-width of a key's narrowed range, measured in the natural logarithm of the value.
 MIN_LOG_WIDTH = 0.01
 POLYNOMIAL_DEGREE = 3  # degree of the polynomials over a narrow parameter range
 # largest number of times that the fit is repeated with new, usually narrower ranges of the keys
@@ -63,10 +63,11 @@ class DescentResult:
 
 @dataclass(frozen=True, eq=False)
 class Descent:
-    """Least-squares fit of scene keys, with a reduced model valid in their ranges.
+    """Descent from start values to a local least-squares fit, with a reduced model.
 
-    The variables are the logarithms of the values. ``degree`` is the degree of the polynomials in
-    the parameters; by default the reduction chooses the degree.
+    The fit varies scene keys. The reduced model is valid in the ranges of the keys. The variables
+    are the logarithms of the key values. ``degree`` is the degree of the polynomials in the
+    parameters; by default the reduction chooses the degree.
     """
 
     body: BodyFit
@@ -166,8 +167,8 @@ def run_descents(descent: Descent) -> list[DescentResult]:
         try:
             results.append(descent.solve(start))
         except FitLimitError as limit:
-            found = min(results, key=attrgetter("cost")).values if results else starts[1]
-            raise _make_limit_error(descent.body, found, limit) from None
+            values = min(results, key=attrgetter("cost")).values if results else starts[1]
+            raise _make_limit_error(descent.body, values, limit) from None
     return sorted(results, key=attrgetter("cost"))
 
 
@@ -272,7 +273,7 @@ def _improve_result(descent: Descent, end: DescentResult) -> Iterator[DescentRes
         end = descent.solve(end.values)
         yield end
         if not any(
-            _is_at_inner_end(item, parameter_axes[item.key], end.values[item.key])
+            _is_at_narrow_range_limit(item, parameter_axes[item.key], end.values[item.key])
             for item in body.keys
         ):
             widths = np.maximum(RANGE_RATIO * widths, MIN_LOG_WIDTH)
@@ -287,8 +288,8 @@ def _narrow_range(item: VariedKey, value: float, half: float) -> ParameterAxis:
     return ParameterAxis(item.key, max(item.low, ends[0]), min(item.high, ends[1]))
 
 
-def _is_at_inner_end(item: VariedKey, axis: ParameterAxis, value: float) -> bool:
-    """Return whether a value is at a narrow range's end that is inside its full range."""
+def _is_at_narrow_range_limit(item: VariedKey, axis: ParameterAxis, value: float) -> bool:
+    """Return whether a value is at a limit of the narrow but not of the full range."""
     x = axis.compute_coordinate(value)
     end = axis.high if x > 0 else axis.low
     return abs(x) > 1 - 1e-3 and not np.isclose([item.low, item.high], end).any()

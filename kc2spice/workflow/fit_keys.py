@@ -122,7 +122,7 @@ def _parse_range(key: str, text: str, unit: str) -> tuple[float, float]:
             "this text is not a range",
             where=key,
             got=text,
-            expected="LOW:HIGH, in SI units or with units",
+            expected="LOW:HIGH; numbers without a unit are in SI units",
             hint=f"write {key}={':'.join(dotted)}"
             if dotted
             else f"write {key}=LOW:HIGH, two numbers with a colon between them",

@@ -74,8 +74,8 @@ def describe_values(
     }
 
 
-def describe_error(size: np.ndarray) -> dict[str, float]:
-    """Return the rms value and the largest value of relative impedance errors.
+def compute_error_statistics(size: np.ndarray) -> dict[str, float]:
+    """Compute the rms value and the largest value of relative impedance errors.
 
     ``size`` contains the relative errors of the impedance magnitude ``|Z|``.
     """

@@ -73,15 +73,15 @@ class LargerOrder:
         (before, after), (error, smaller) = self.states, self.error
         keys = ", ".join(f"{key} = {value}" for key, value in self.keys.items())
         return (
-            f"reduction of {self.part}: under the loads of this run a model of {before} states has "
-            f"an error of {error:.2%}, more than {self.limit:.2%}, and one of {after} states "
-            f"{smaller:.2%}; the run is repeated with {keys}, which takes about "
-            f"{self.seconds:.2g} s of CPU"
+            f"reduction of {self.part}: under the loads of this run, a model with {before} states "
+            f"has an error of {error:.2%}, above the limit of {self.limit:.2%}, and a model with "
+            f"{after} states has an error of {smaller:.2%}; the run is repeated with {keys}, which "
+            f"takes about {self.seconds:.2g} s of CPU time"
         )
 
 
-def with_larger_orders(run: Run, work: Path, clock: StageTimer) -> Run:
-    """Repeat a run with larger orders of reduced models until their errors are small.
+def rerun_with_larger_orders(run: Run, work: Path, clock: StageTimer) -> Run:
+    """Rerun a scene with larger orders of reduced models until their errors are small.
 
     The errors of the reduced models are computed under the loads of the run. The result is the run
     whose reduced bodies have the smallest error. The directory ``work`` contains the files of the
@@ -225,8 +225,8 @@ def _search_larger_order(
             break
         seconds = run.cpu_s * _estimate_time_ratio(model, larger)
         if seconds > MAX_SECONDS:
-            end = f"a run with {larger.order} states takes about {seconds:.2g} s of CPU, more than "
-            end += f"{MAX_SECONDS:g} s, and is not tried"
+            end = f"a run with {larger.order} states takes about {seconds:.2g} s of CPU time, more "
+            end += f"than {MAX_SECONDS:g} s, and is not tried"
             break
         estimate = estimate_error(larger)
         if estimate is None:

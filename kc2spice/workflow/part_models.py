@@ -20,7 +20,7 @@ from kc2spice.rom.modal_models import tabulate_modes
 from kc2spice.scene.part_method_calls import (
     add_results_and_sources,
     name_subcircuits,
-    resolve_again,
+    update_part_records,
 )
 from kc2spice.scene.plausibility import apply_check_action, check_model_masses
 from kc2spice.scene.probed_results import require_probed_results
@@ -98,7 +98,7 @@ def _build_model(part: Part, scene: Scene, clock: StageTimer) -> Any:
 
 
 def _add_results_and_equations(build: BuiltScene) -> BuiltScene:
-    """Add results, equations and the linearised scene to a built scene."""
+    """Complete a built scene with result definitions, equations and their linearisation."""
     return with_linearised_scene(store_laws(add_results_and_sources(build)))
 
 
@@ -115,7 +115,7 @@ def replace_parts(
 
 def rebuild_with_scene(build: BuiltScene, scene: Scene) -> BuiltScene:
     """Return the built scene for a changed ``scene``; reuse pins, nets and models."""
-    return _add_results_and_equations(replace(build, scene=resolve_again(scene)))
+    return _add_results_and_equations(replace(build, scene=update_part_records(scene)))
 
 
 def merge_equal_subcircuits(build: BuiltScene) -> BuiltScene:
@@ -191,7 +191,7 @@ VALUE_UNITS = {
     "mass_kg": "kg", "resonance*_hz": "Hz", "*capacitance_*f": "F", "depoling_voltage_v": "V",
     "free_stroke_*_m_per_v": "m/V", "free_stroke_*_m_per_100v": "m per 100 V", "extent_*_mm": "mm",
     "area_*_m2": "m2", "force_max_n": "N", "coil_resistance_ohm": "Ohm", "coil_inductance_h": "H",
-    "coil_mutual_h": "H",
+    "coil_mutual_h": "H", "mesh_limit_hz": "Hz",
 }  # fmt: skip
 
 
@@ -218,7 +218,7 @@ def tabulate_body_modes(build: BuiltScene) -> dict[str, dict[str, Any]]:
 
 
 def collect_rom_values(build: BuiltScene) -> dict[str, Any]:
-    """Return the records of reduced models: ``rom`` and ``roms`` of ``result.json``.
+    """Return ``rom`` and ``roms`` of ``result.json``, which describe reduced models.
 
     The result contains ``roms`` only if the scene has more than one reduced model.
     """

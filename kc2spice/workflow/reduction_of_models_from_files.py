@@ -71,14 +71,14 @@ from kc2spice.synthesis.model_to_subcircuit import make_unit_load_cards, subcirc
 from kc2spice.synthesis.parameter_ranges import list_parameters
 from kc2spice.synthesis.parametric_resonators import (
     parametric_subcircuit,
-    require_parametric_form,
+    require_supported_ports_and_names,
 )
 from kc2spice.workflow.decks import protect_other_decks
 from kc2spice.workflow.thermal_transients import (
+    convert_to_network_form,
     fit_transient_network,
     parse_step_power,
     require_one_heat_port,
-    shape_heat_model,
 )
 
 DEFAULT_TOLERANCE = 1e-4
@@ -161,8 +161,8 @@ def reduce_file(
 
     Raises
     ------
-    GateMissedError : the error of a measured part exceeds both :data:`MAX_MISFIT` and
-        :data:`MAX_NOISE_RATIO` times the noise of the data; nothing was written.
+    GateMissedError : the error of a measured part exceeds :data:`MAX_MISFIT`, and also exceeds the
+        noise of the data times :data:`MAX_NOISE_RATIO`; nothing was written.
     UsageError : the model cannot be read (:func:`kc2spice.bodies.readers.read_model`), or ``out``
         cannot be written, which is checked before the reduction. Nothing is written.
     SimulationError : the tolerance cannot be met; nothing was written.
@@ -200,7 +200,7 @@ _NOT_FOR_MEASUREMENTS = (
 )
 _ONLY_FOR_IMPEDANCES = (
     "this option applies only to a measured impedance",
-    "no such option with a thermal transient",
+    "a thermal transient without this option",
 )
 _ONLY_FOR_TRANSIENTS = (
     "this option applies only to a thermal transient",
@@ -264,7 +264,7 @@ def _reduce_matrices(
             norm=norm or choose_default_norm(model),  # type: ignore[arg-type]
             method=method,
         )
-        return shape_heat_model(small, form)
+        return convert_to_network_form(small, form)
 
     with follow_stage(progress, "reduce", f"{model.order} equations"):
         _reject_unstable_model(model, band)
@@ -290,10 +290,10 @@ def _reduce_affine(
     settings: dict[str, Any],
     progress: Progress,
 ) -> dict[str, Any]:
-    """Reduce a model over its parameter ranges, and write the parametric model."""
+    """Reduce an affine model over its parameter ranges, and write the reduced model."""
     _reject_options(options, *_NOT_FOR_PARAMETRIC_MODELS)
     name, names = f"{model.name}_rom", list(model.defaults)
-    require_parametric_form(model.model.ports, names, make_identifier(name, "rom"))
+    require_supported_ports_and_names(model.model.ports, names, make_identifier(name, "rom"))
     _require_valid_port_names(model.model, make_identifier(name, "rom"))
     progress("reduce", None, f"{model.model.order} equations, parameters {', '.join(names)}")
     directory = Path(name) if out is None else Path(out)
@@ -415,9 +415,10 @@ def _convert_measurement(
     result = _write_reduced_model(data.name, len(data.f), fit_model, out)
     error, cautions = result["error_estimate"], []
     if error > WARNING_MISFIT:
-        text = f"the error of {error:.2g} exceeds {WARNING_MISFIT:g}: the circuit is not the part "
-        cautions.append(text + "at every frequency; compare both before you use it")
-    record = {"notes": notes, "warnings": cautions, "noise": data.measured_noise}
+        text = f"the error of {error:.2g} exceeds {WARNING_MISFIT:g}: the circuit deviates from "
+        text += "the part at some frequencies; compare the circuit with the measurement before use"
+        cautions.append(text)
+    record = {"notes": notes, "warnings": cautions, "noise": data.estimated_noise}
     return result | record | {"quantity": data.quantity, "data": data.description}
 
 
@@ -463,8 +464,11 @@ def _fit_passive_model(
             expected=f"at most {POOR_DEVIATION:g}",
             hint="leave out --dc, so that the fit extrapolates the resistance at 0 Hz",
         )
-    note = f"parallel branches leave a deviation of {left:.2g}: poles of any kind"
-    progress("reduce", None, f"fitting poles of any kind to {len(data.f)} frequencies")
+    note = (
+        f"a circuit of parallel RLC branches deviates by {left:.2g} (rms): "
+        "a state-space model is used instead"
+    )
+    progress("reduce", None, f"fitting a state-space model to {len(data.f)} frequencies")
     try:
         general = _fit_state_space_model(data)
     except MissingToolError:
@@ -546,8 +550,8 @@ def _parse_conductance(dc: str | float) -> float:
     if dc == "open":
         return 0.0
     expected = (
-        'a positive resistance, such as "80 mOhm", or the word open for a one-port without direct '
-        "current"
+        'a positive resistance, such as "80 mOhm", or the word open for a one-port without a DC '
+        "path"
     )
     try:
         resistance = convert_quantity(dc, "Ohm", where="--dc")
@@ -651,7 +655,7 @@ def _load_scene_body(text: str, progress: Progress = ignore_progress) -> LinearM
 
 
 def _list_bodies(scene: Scene) -> list[str]:
-    """Return the names of the parts of a scene that have linear models."""
+    """List the bodies of a scene: the names of its parts that have linear models."""
     return [part.name for part in scene.parts.values() if isinstance(part.type, LinearBody)]
 
 
@@ -663,7 +667,7 @@ def require_stable(record: dict[str, Any]) -> None:
     GateMissedError : the model is unstable.
     """
     if record["stable"] is False:
-        written = f"; {record['rom']} was written as it is" if "rom" in record else ""
+        written = f"; the unstable model was written to {record['rom']}" if "rom" in record else ""
         raise GateMissedError(
             "the model is unstable",
             where=record["model"],
@@ -742,7 +746,7 @@ def make_example_deck(model: LinearModel, part: Subcircuit) -> Deck:
         notes=(f"* Over the band of the certificate, {low:g} to {high:g} Hz.",),
         items=(
             *add_title("the model", (instance,)),
-            *add_title("what drives it, and what holds the other ports", sources),
+            *add_title("excitation, and terminations of the other ports", sources),
         ),
         command=make_ac_command(low, high, 400, "log"),
     )

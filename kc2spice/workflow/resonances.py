@@ -1,4 +1,4 @@
-"""Additional frequencies of small-signal analyses: resonances, notches and probes.
+"""Additional small-signal analyses near resonances, and at frequencies of probes.
 
 The input is an analysis command, and the equations of its scene. The module returns additional
 analyses, with closely spaced frequencies, around each resonance that the frequencies of the scene
@@ -29,7 +29,8 @@ MAX_UNKNOWNS = 600  # the eigenvalues of systems with more unknowns would take s
 # A parabola through 1/|y|^2 at three points gives the maximum of a single pole exactly.
 # Other poles change the maximum by less than 1e-4 (tests/spice/test_resonant_maxima.py).
 # Each further range is WIDENING_FACTOR times as wide, with the same number of points.
-# The ranges widen until the spacing of the scene's frequencies is reached.
+# The widest range around a resonance extends to each side by more than the spacing of the scene's
+# frequencies.
 # Around a resonance, the trapezoidal rule integrates |y|^2 with an error of at most 2 %.
 # The tests in tests/spice/test_resonant_maxima.py measure the error of the integral by
 # equipartition.
@@ -43,14 +44,14 @@ MAX_RESONANCES = 100
 
 
 def list_refined_analyses(command: AnalysisCommand, laws: SceneLaws) -> tuple[AnalysisCommand, ...]:
-    """List analyses with more frequencies near resonances and at probed frequencies.
+    """List refined analyses, near resonances and at the frequencies in keys of probes.
 
-    ``command`` is the analysis of the scene. The frequencies that probes read become points of an
+    ``command`` is the analysis of the scene. The frequencies in keys of probes become points of an
     analysis, because interpolation between two points would cause an error.
 
     A resonance at ``f`` with the pole ``p`` has the half-width ``|Re p| / (2 pi)``. A resonance is
-    resolved if the frequencies of the scene lie closer than a quarter of its half-width. For
-    undamped resonances, whose response is infinite, no frequencies are added.
+    resolved if the spacing of the scene's frequencies near the resonance is at most a quarter of
+    its half-width. For undamped resonances, whose response is infinite, no frequencies are added.
 
     A warning is printed if a part has no equations, such as a user's netlist. If a part has no
     equations, only the poles of the reduced models are known.
@@ -79,7 +80,7 @@ def list_refined_analyses(command: AnalysisCommand, laws: SceneLaws) -> tuple[An
 
 
 def _list_probe_frequencies(build: BuiltScene) -> list[float]:
-    """Return the frequencies [Hz] that probes read, in ascending order.
+    """Return the frequencies [Hz] set in the table ``[probes]``, in ascending order.
 
     Frequencies outside of the scene's range are omitted.
     """
@@ -130,7 +131,7 @@ def _find_narrow_resonances(laws: SceneLaws) -> list[tuple[float, float]]:
 
 
 def _find_poles_and_zeros(laws: SceneLaws) -> np.ndarray:
-    """Find the circuits' poles, and zeros of responses whose minimum a probe reports.
+    """Find the poles of the circuits, and the zeros of selected responses.
 
     Poles and zeros are complex numbers in 1/s. Zeros are included only in an ``ac`` analysis, for
     responses whose minimum a probe reads. For a circuit without equations, only the poles of the
@@ -139,7 +140,7 @@ def _find_poles_and_zeros(laws: SceneLaws) -> np.ndarray:
     """
     scene, causes = (
         laws.build.scene,
-        [f"{name} has no equations" for name in laws.parts_without_law],
+        [f"kc2spice has no equations for the part {name}" for name in laws.parts_without_law],
     )
     minima = {probe.of for probe in scene.probes.values() if probe.take == "min"}
     if scene.analysis.type != "ac":
@@ -159,16 +160,22 @@ def _find_poles_and_zeros(laws: SceneLaws) -> np.ndarray:
     models = [model for model in laws.build.models.values() if isinstance(model, LinearModel)]
     if models and causes:
         warnings.warn(
-            "some maxima may be missed: maxima are searched only near the natural frequencies of "
-            "the reduced models, but the circuit can shift the resonances; "
-            f"cause: {'; '.join(causes)}",
+            "some maxima may be missed, because they are searched only near the natural "
+            "frequencies of the reduced models; the resonances of the circuit cannot be computed: "
+            f"{'; '.join(causes)}",
             stacklevel=2,
         )
         poles += [model.poles() for model in models]
     if unknown := sorted(minima if laws.parts_without_law else minima - zeros.keys()):
+        missing = ", ".join(laws.parts_without_law)
+        reason = (
+            f"kc2spice has no equations for {missing}"
+            if missing
+            else "the zeros of the response are unknown"
+        )
         warnings.warn(
             f"the minimum of {', '.join(unknown)} is searched only at the frequencies of the "
-            f"analysis, because a part of the circuit has no equations; raise analysis.points",
+            f"analysis, because {reason}; raise analysis.points",
             stacklevel=2,
         )
     return np.concatenate([np.zeros(0, complex), *poles, *zeros.values()])

@@ -27,7 +27,7 @@ from kc2spice.scene.scene_classes import Scene
 from kc2spice.sim.ngspice import RetriesFailedError, Simulator, find_ngspice, write_files
 from kc2spice.synthesis.ringing_time import warn_of_long_run
 from kc2spice.workflow.decks import prepare_deck, protect_other_decks
-from kc2spice.workflow.larger_reduced_model_orders import suggest_keys, with_larger_orders
+from kc2spice.workflow.larger_reduced_model_orders import rerun_with_larger_orders, suggest_keys
 from kc2spice.workflow.part_models import find_value_units, list_model_values, tabulate_body_modes
 from kc2spice.workflow.settings_refinement import ConvergedRun, converge_to_budget
 from kc2spice.workflow.simulation import Run, keep_failed_run, simulate_deck
@@ -81,6 +81,11 @@ class CompletedRun:
             "largest_step": None if step is None else {"s": step.step, "why": step.why},
             "metrics": run.metrics,
             "metric_units": run.units,
+            "metric_warnings": run.metric_warnings,
+            "probes": {
+                name: {"of": probe.of, "take": probe.take}
+                for name, probe in build.scene.probes.items()
+            },
             "model_units": {
                 name: find_value_units(row) for name, row in list_model_values(build).items()
             },
@@ -205,7 +210,7 @@ def complete_run(
                 scene = load_scene(scene, suggested)
         # with an error budget, `converge_to_budget` instead changes the orders of reduced models
         if deck is None and scene.error_budget is None:
-            result = with_larger_orders(result, work, clock)
+            result = rerun_with_larger_orders(result, work, clock)
         converged = converge_to_budget(result, clock) if deck is None else None
         if converged is not None:
             result = converged.run

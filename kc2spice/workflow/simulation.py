@@ -46,13 +46,15 @@ FAILURE_FILE = "failure.json"
 class Run(RunOutcome):
     """Simulation of a scene: models, deck, waveforms, verdict, attempts and metrics.
 
-    ``units`` are the SI units of metrics by dotted name, for metrics with a unit. ``cpu_s`` is the
-    CPU time [s] of the simulator including all retries.
+    ``units`` are the SI units of metrics by dotted name, for metrics with a unit.
+    ``metric_warnings`` are the warnings of metrics by dotted name, for metrics with a warning.
+    ``cpu_s`` is the CPU time [s] of the simulator including all retries.
     """
 
     build: BuiltScene
     metrics: Mapping[str, Any]
     units: Mapping[str, str]
+    metric_warnings: Mapping[str, str]
     cpu_s: float
     point: OperatingPoint
 
@@ -173,7 +175,7 @@ def simulate_deck(
     if build.functions and len(result.attempts) > 1:
         names = ", ".join(build.functions)
         message = f"the simulation was repeated, and called the functions {names} again from "
-        message += "time 0 on; a function must reset its stored values at time 0"
+        message += "time 0; a function must reset its stored values at time 0"
         warnings.warn(message, stacklevel=2)
     used = measure_simulator_cpu(shared=shared) - begin
     waves = correct_waves(result.waves, build)
@@ -187,6 +189,7 @@ def simulate_deck(
         build=build,
         metrics=results.values,
         units=results.units,
+        metric_warnings=results.warnings,
         cpu_s=used,
         point=point,
     )

@@ -77,7 +77,7 @@ def parse_step_power(power: str | float | None, data: ThermalTransient) -> float
             "this file contains a temperature, and the power is missing",
             where=data.where,
             got=data.columns,
-            expected="the power that was switched on or off at the time zero",
+            expected="the power that was switched on or off at t = 0",
             hint="add for example  --power '2 W'",
         )
     value = convert_quantity(power, "W", where="--power")
@@ -106,18 +106,18 @@ def fit_transient_network(
     UsageError : the temperature changes by less than its noise, or the thermal impedance falls.
     GateMissedError : the deviation exceeds :data:`LARGEST_MISFIT`.
     """
-    samples, norm, notes = _make_step_samples(data, power)
+    samples, norm, notes = _make_step_response_samples(data, power)
     fit = fit_transient(samples)
     size = 1.0 if norm == "pointwise" else _find_largest_rise(samples, fit)
     certificate = _make_certificate(samples, fit, size, norm)
     rms, noise = fit.rms_residual / size, fit.noise / size
     if rms > LARGEST_MISFIT:
         raise GateMissedError(
-            "no heat network describes the transient",
+            "no thermal network describes the transient",
             where=data.where,
             got=f"a deviation of {rms:.2g} (rms over the samples); {certificate.method}",
             expected=f"at most {LARGEST_MISFIT:g}; the slope of the temperature must decrease",
-            hint="measure at the heat source, with a constant power that begins at time zero; "
+            hint="measure at the heat source, with a constant power that begins at t = 0; "
             "no file was written",
         )
     warnings = list[str]()
@@ -129,24 +129,24 @@ def fit_transient_network(
     share = compute_unsettled_share(fit.network, float(samples.time.max()))
     if share > WARNING_UNSETTLED_RATIO:
         warnings.append(
-            f"{share:.2g} of the resistance belongs to time constants above a third of the last "
-            "time: the resistance at rest is extrapolated"
+            f"{100 * share:.2g} % of the thermal resistance has time constants longer than a third "
+            "of the measurement duration: the steady-state resistance is extrapolated"
         )
     first = float(samples.time[samples.time > 0].min())
     fast = float(fit.network.resistance[fit.network.time_constant < first].sum())
     if samples.offset and fast > WARNING_UNSETTLED_RATIO * fit.network.total_resistance:
         notes = (
             *notes,
-            f"{fast:.2g} K/W belong to time constants below the first time of {first:.3g} s: the "
-            "temperature before the step is extrapolated",
+            f"{fast:.2g} K/W have time constants below the first measured time of {first:.3g} s: "
+            "the temperature before the step is extrapolated",
         )
     model = make_network_model(fit.network, form, JUNCTION)
     model = replace(model, name=data.name, certificate=certificate)
     return FittedTransient(model, noise, (*data.notes, *notes), tuple(warnings))
 
 
-def shape_heat_model(model: LinearModel, form: NetworkForm | None) -> LinearModel:
-    """Return a heat model in a network form, or unchanged if ``form`` is None.
+def convert_to_network_form(model: LinearModel, form: NetworkForm | None) -> LinearModel:
+    """Convert a heat model to a network form; None as ``form`` leaves it unchanged.
 
     Raises
     ------
@@ -189,10 +189,10 @@ def require_one_heat_port(model: LinearModel) -> None:
     )
 
 
-def _make_step_samples(
+def _make_step_response_samples(
     data: ThermalTransient, power: float | None
 ) -> tuple[StepSamples, Norm, tuple[str, ...]]:
-    """Return samples of temperature rise per watt, the norm of fit errors, and notes."""
+    """Return samples of a step response [K/W], the name of the error norm, and notes."""
     count = max(len(data.value) // ENDS, 1)
     change = float(data.value[-count:].mean() - data.value[:count].mean())
     noise = float(np.sqrt(0.5 * np.mean(np.diff(data.value) ** 2) / count))
@@ -201,8 +201,8 @@ def _make_step_samples(
             "the temperature does not change beyond its noise",
             where=data.where,
             got=f"a change of {change:.3g} from the first to the last samples",
-            expected="a step of the power at the time zero",
-            hint="check the columns, and that the power changes at time zero",
+            expected="a step of the power at t = 0",
+            hint="check the columns, and that the power changes at t = 0",
         )
     one = np.ones(len(data.time))
     if power is None:
@@ -222,7 +222,7 @@ def _make_step_samples(
         return StepSamples(time, value, one[after], offset=False), "peak", (note,)
     notes = list[str]()
     if change < 0:
-        notes.append(f"the temperature falls: {power:g} W were switched off at the time zero")
+        notes.append(f"the temperature falls: {power:g} W were switched off at t = 0")
     value = np.sign(change) * data.value / power
     return StepSamples(data.time, value, one, offset=True), "peak", tuple(notes)
 
@@ -246,9 +246,9 @@ def _make_certificate(
     of = "of each value" if norm == "pointwise" else "of the largest rise"
     text = (
         f"{len(network.resistance)} time constants from {fastest:.3g} to {slowest:.3g} s, "
-        f"{network.total_resistance:.4g} K/W at rest, fitted to {len(samples.time)} samples: "
-        f"largest deviation {deviation[largest]:.2g} {of} at {samples.time[largest]:.4g} s, rms "
-        f"{fit.rms_residual / size:.2g}, noise of the samples {fit.noise / size:.2g}"
+        f"{network.total_resistance:.4g} K/W in the steady state, fitted to {len(samples.time)} "
+        f"samples: largest deviation {deviation[largest]:.2g} {of} at {samples.time[largest]:.4g} "
+        f"s, rms {fit.rms_residual / size:.2g}, noise of the samples {fit.noise / size:.2g}"
     )
     band = 1 / (2 * np.pi * after.max()), 1 / (2 * np.pi * after.min())
     return Certificate(

@@ -91,7 +91,7 @@ def choose_largest_step(build: BuiltScene) -> StepLimit:
     start = min(limits, key=attrgetter("step"))
     linearised = find_linearised_scene(build)
     if not linearised.is_resolved_by_error_control and start.step > NONLINEAR_STEP:
-        start = StepLimit(NONLINEAR_STEP, "not all of it is linear")
+        start = StepLimit(NONLINEAR_STEP, "parts that are not known to be linear")
     rule, limits = INTEGRATION_RULES[scene.solver.method], [start]
     for motion in linearised.exact_solutions:
         if motion is not None:
@@ -166,7 +166,7 @@ class LinearisedScene:
 
     @property
     def parts_without_network(self) -> tuple[str, ...]:
-        """Names of the parts that are in no network."""
+        """Names of the parts that belong to no network, as their equations are unknown."""
         return self._networks_and_other_parts[1]
 
     @cached_property
@@ -191,7 +191,7 @@ def find_linearised_scene(build: BuiltScene) -> LinearisedScene:
 
 
 def with_linearised_scene(build: BuiltScene) -> BuiltScene:
-    """Return a copy of a built scene that stores its linearised networks.
+    """Return a copy of a built scene, with its linearised scene stored in the copy.
 
     The returned copy computes each linearised network only once, when the network is first used.
     """
@@ -213,7 +213,7 @@ def _solve_network_from_rest(network: Network, stop: float) -> ExponentialSoluti
         linear = LinearisedSystem(system)
     except (SimulationError, UsageError, np.linalg.LinAlgError):
         return None
-    return linear.solve_motion(tuple(source.wave for source in system.sources), stop)
+    return linear.compute_transient_solution(tuple(source.wave for source in system.sources), stop)
 
 
 # --- rules of integration -------------------------------------------------------------------------
@@ -301,7 +301,7 @@ def find_step(motion: ExponentialSolution, start: StepLimit, rule: IntegrationRu
 def _describe_resonance(rate: complex, quality: float) -> str:
     """Describe a natural mode by its frequency and its Q factor."""
     damped = f"Q {quality:.3g}" if quality < 1e6 else "undamped"
-    return f"a motion at {format_quantity(abs(rate) / (2 * math.pi), 'Hz', 4)}, {damped}"
+    return f"natural mode at {format_quantity(abs(rate) / (2 * math.pi), 'Hz', 4)}, {damped}"
 
 
 def find_largest_errors(t: np.ndarray, ours: np.ndarray, exact: np.ndarray) -> tuple[float, float]:
@@ -342,9 +342,10 @@ def list_step_checks(
         return
     decided = any(map(attrgetter("overrides_others"), scene.numerics))
     known = not decided and not build.unchecked_parts
-    worst, exact = _compare_exact_motion(build, waves) if known else ((0.0, 0.0, ""), set())
+    worst, exact = _compare_with_exact_solutions(build, waves) if known else ((0.0, 0.0, ""), set())
     if worst[2]:
-        yield _make_step_check("steps against the exact motion", worst, build)
+        name, label = "time steps compared with the exact solution", "time-step error"
+        yield _make_step_check(name, label, worst, build)
     for part, balance in balances.items():
         if part in exact:
             continue
@@ -354,12 +355,12 @@ def list_step_checks(
                 errors = find_largest_errors(waves["time"], simulated[:, None], true[:, None])
                 differences.append((*errors, name))
         if differences:
-            name = f"steps of {part} against its exact answer"
-            check = _make_step_check(name, max(differences), build)
+            name = f"time steps of {part} compared with its exact response"
+            check = _make_step_check(name, f"time-step error of {part}", max(differences), build)
             yield replace(check, action="warn") if decided else check
 
 
-def _compare_exact_motion(
+def _compare_with_exact_solutions(
     build: BuiltScene, waves: Waveforms
 ) -> tuple[tuple[float, float, str], set[str]]:
     """Compare the waveforms of linear circuits with the exact solutions.
@@ -379,7 +380,9 @@ def _compare_exact_motion(
     return worst, exact
 
 
-def _make_step_check(name: str, largest: tuple[float, float, str], build: BuiltScene) -> Check:
+def _make_step_check(
+    name: str, label: str, largest: tuple[float, float, str], build: BuiltScene
+) -> Check:
     """Return the check of a waveform's deviation due to the time steps.
 
     ``largest`` describes the waveform whose rms value deviates most from the exact solution. The
@@ -387,13 +390,20 @@ def _make_step_check(name: str, largest: tuple[float, float, str], build: BuiltS
     of the waveform.
     """
     amplitude, _, wave = largest
-    advice = "the steps are too coarse for a resonance: "
+    advice = "the time steps are too coarse for a resonance: "
     if reason := find_step_reason(build):
-        advice += f"lower the end time; what needs short steps is {reason}"
+        advice += f"choose an earlier end time; reason for the short time steps: {reason}"
     else:
         advice += "leave solver.max_step out, or lower it"
     return Check(
-        name, amplitude, FAILURE_LIMIT, f"of the rms of {wave}", advice, coarse=True, wiring=True
+        name,
+        amplitude,
+        FAILURE_LIMIT,
+        f"of the rms of {wave}",
+        advice,
+        coarse=True,
+        wiring=True,
+        label=label,
     )
 
 

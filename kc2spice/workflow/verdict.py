@@ -56,6 +56,7 @@ def form_verdict(waves: Waveforms, build: BuiltScene) -> Verdict:
             result.advice,
             scene.checks.energy,
             coarse=True,
+            label=f"energy balance of {name}",
         )
         for name, result in balances.items()
     ]
@@ -77,14 +78,16 @@ def add_undecided_warnings(checks: Sequence[Check]) -> Iterator[Check]:
         if check.distance >= change:
             yield check
             continue
-        side = "within" if check.passed else "beyond"
+        side = "inside" if check.passed else "outside"
         advice = (
-            f"the motion ends {check.distance:.3g} {check.unit} {side} its limit, nearer than the "
-            f"estimated error of reduced bodies ({error:.2%}) moves it: the outcome is not decided"
+            f"an extreme position of the motion is {check.distance:.3g} {check.unit} {side} the "
+            "permitted range, less than the effect of the estimated error of the reduced bodies "
+            f"({error:.2%}): the result is inconclusive"
         )
         if check.passed:
             yield check
             name = f"{check.name} undecided"
-            yield Check(name, change, check.distance, check.unit, advice, "warn")
+            label = check.undecided_label
+            yield Check(name, change, check.distance, check.unit, advice, "warn", label=label)
         else:
             yield replace(check, advice=f"{check.advice}; {advice}")

@@ -47,18 +47,18 @@ _ELEMENT_SYMBOLS = {  # name, title and drawing of each symbol, keyed by element
     "R": ("RESISTOR", "resistor", "bar"),
     "C": ("CAPACITOR", "capacitor", "plates"),
     "L": ("INDUCTOR", "inductor", "coil"),
-    "F": ("CURRENT_BY_CURRENT", "current source controlled by a current", "current"),
-    "H": ("VOLTAGE_BY_CURRENT", "voltage source controlled by a current", "voltage"),
+    "F": ("CURRENT_BY_CURRENT", "current-controlled current source", "current"),
+    "H": ("VOLTAGE_BY_CURRENT", "current-controlled voltage source", "voltage"),
     "B": ("BEHAVIOUR", "behavioural source", "ring"),
-    "E": ("VOLTAGE_BY_VOLTAGE", "voltage source controlled by a voltage", "box"),
-    "G": ("CURRENT_BY_VOLTAGE", "current source controlled by a voltage", "box"),
+    "E": ("VOLTAGE_BY_VOLTAGE", "voltage-controlled voltage source", "box"),
+    "G": ("CURRENT_BY_VOLTAGE", "voltage-controlled current source", "box"),
 }
 # KiCad symbols that are no netlist elements, keyed by symbol name.
 # Each tuple contains reference, title, drawing, pin, text position and electrical type of the pin.
 _MARK_SYMBOLS = {
     "GND": ("#PWR", "ground, node 0", "ground", SymbolPin(1, "GND", "top", 0, 0, 0.0), (0.0, -4.0),
             "power_in"),
-    "PWR_FLAG": ("#FLG", "tells that ground is driven", "flag",
+    "PWR_FLAG": ("#FLG", "power flag: marks ground as driven", "flag",
                  SymbolPin(1, "pwr", "bottom", 0, 0, 0.0), (0.0, 3.0), "power_out"),
     "PROBE": ("TP", "a net to be plotted", "probe", SymbolPin(1, "net", "bottom", 0, 0), (1.5, 2.4),
               "passive"),
@@ -388,7 +388,7 @@ class _Track:
 
     @property
     def wire_segments(self) -> Iterator[tuple[int, int, int, int]]:
-        """Straight wires between the pins, the track and the label of the track."""
+        """Wire segments of a net: from each pin to the horizontal track, and the track."""
         for (x, y), column in zip(self.pins, self.columns, strict=True):
             if column != x:
                 yield x, y, column, y
@@ -435,9 +435,8 @@ def _choose_columns(item: _PlacedSymbol, shared: Container[str]) -> dict[tuple[i
     """Choose the grid column of the vertical wire at each pin end of a symbol.
 
     The keys of the returned dictionary are the positions (x, y) of the pin ends. On each side of a
-    symbol, the wire of the lowest pin is in the column next to the symbol. From bottom to top, the
-    vertical wire of each pin is farther from the symbol than the wires and labels of all pins
-    below.
+    symbol, the wire of the lowest pin is in the column next to the symbol. On each side, the
+    vertical wire of a pin is farther from the symbol than the wires and labels of all lower pins.
     """
     result = {}
     for side, outwards in (("left", -1), ("right", 1), ("top", 0), ("bottom", 0)):
@@ -528,7 +527,7 @@ def _make_ground_mark(
 
 
 def _write_workbook(deck: Deck, top: Scope, commands: list[str]) -> str:
-    """Return KiCad's simulation workbook with the analysis and four node voltages.
+    """Return KiCad's simulation workbook, which plots at most four node voltages.
 
     If possible, the selected voltages belong to different parts.
     """

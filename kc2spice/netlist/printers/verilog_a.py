@@ -255,7 +255,8 @@ def format_module(part: Subcircuit) -> dict[str, str]:
     notes = part.circuit.items[0].notes if part.circuit.items else ()
     body = [
         *(line.replace("*", "//", 1) for line in notes),
-        "// A transient starts from its operating point, in which initial conditions hold.",
+        "// A transient analysis starts from an operating point that enforces the initial "
+        "conditions.",
         '`include "disciplines.vams"',
         "",
         f"module {Module().allocate_identifier(part.name)}({ports});",
@@ -403,7 +404,7 @@ def _read_constant_value(part: Element, names: VerilogWriter) -> str:
     points = [parse_literal(word, where=part.where) for word in listed]
     if points and None not in points and not any(points[1::2]):
         return "0.0"
-    raise part.make_error("a module has no sources with waveforms")
+    raise part.make_error("sources with waveforms are not supported in Verilog-A modules")
 
 
 def _write_switch_resistance(part: Element, names: VerilogWriter) -> str:
@@ -462,7 +463,7 @@ def _write_table_function(name: str, x: list[float], f: list[float]) -> str:
 
 
 def make_testbench(deck: Deck, modules: Collection[Subcircuit]) -> dict[str, str]:
-    """Return the files of a deck with Verilog-A modules instead of subcircuits.
+    """Make a test bench: files of a deck with Verilog-A modules of its parts.
 
     To run the deck, the user first compiles each ``NAME.va`` to ``NAME.osdi`` with the command
     ``openvaf-r NAME.va``. Parts without a module remain subcircuits in library files. The deck

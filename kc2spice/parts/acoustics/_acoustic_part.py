@@ -20,6 +20,7 @@ from typing_extensions import TypeVar
 
 from kc2spice.core import constitutive_laws as laws
 from kc2spice.core.domains import ACOUSTIC, AMBIENT
+from kc2spice.core.errors import UsageError
 from kc2spice.netlist.circuit import Circuit, Element, Item, Param, Parameters, Pin
 from kc2spice.netlist.expression import Tree
 from kc2spice.netlist.number_and_name_spelling import (
@@ -30,10 +31,11 @@ from kc2spice.netlist.number_and_name_spelling import (
 )
 from kc2spice.netlist.shared_cards import attach_comments
 from kc2spice.netlist.subcircuit_library import Header, Subcircuit
-from kc2spice.parts.acoustics._fluids import FluidKeys
+from kc2spice.parts.acoustics._fluids import USUAL_LIQUID_DENSITY, FluidKeys
 from kc2spice.parts.electronics.two_terminal_types import make_element_law
 from kc2spice.physics.symbolic_algebra import evaluate_tree, parse_simplified
 from kc2spice.scene.part_records import EquilibriumConditions, PartResult
+from kc2spice.scene.plausibility import check_usual_range
 from kc2spice.scene.scene_classes import (
     GROUND,
     BuiltScene,
@@ -56,7 +58,7 @@ SCALES = {
     RESISTANCE: 1 / ACOUSTIC.admittance,
     COMPLIANCE: ACOUSTIC.admittance,
 }
-RATING = "not checked; the equations are those of small amplitudes"
+RATING = "not checked; the equations hold for small amplitudes only"
 METER = "Vflow"  # ammeter that measures the volume velocity into the first pin
 
 
@@ -136,12 +138,19 @@ class AcousticPart(PartType[FluidKeysT]):
         return ("a",)
 
     def steady_flow_paths(self, part: Part[FluidKeysT]) -> tuple[tuple[str, str], ...]:
-        """Return the paths of steady volume velocity, as pairs of pins."""
+        """Return the paths of a steady flow of fluid, as pairs of pins."""
         return ()
 
     def get_fluid_volume(self, part: Part[FluidKeysT]) -> float:
         """Return the fluid volume [m3] in front of a face; infinite without walls."""
         return math.inf
+
+    def problems(self, part: Part[FluidKeysT], scene: GovernedScene) -> Iterator[UsageError]:
+        """Yield an error for each invalid key of the part."""
+        yield from super().problems(part, scene)
+        fluid, where = part.keys.fluid, f"{part.name}.fluid.density"
+        if fluid.sounds_like_liquid:
+            yield from check_usual_range(where, fluid.density, USUAL_LIQUID_DENSITY)
 
     # --- pins and netlist -------------------------------------------------------------------------
 
@@ -158,7 +167,7 @@ class AcousticPart(PartType[FluidKeysT]):
     def equilibrium_conditions(
         self, part: Part[FluidKeysT], scene: WiredScene
     ) -> EquilibriumConditions:
-        """Return the pin pairs between which the part carries a steady volume velocity."""
+        """Return the pin pairs between which a steady volume velocity can flow."""
         return EquilibriumConditions(self.steady_flow_paths(part))
 
     def subcircuits(
@@ -203,7 +212,7 @@ class AcousticPart(PartType[FluidKeysT]):
     # --- results ----------------------------------------------------------------------------------
 
     def vectors(self, part: Part[FluidKeysT], build: BuiltScene) -> Mapping[str, PartResult]:
-        """Return the ngspice expression of each result of the part, keyed by result name."""
+        """Return the ngspice vectors: expressions of the part's results, keyed by name."""
         n, first = part.name, self.list_pressure_pins(part)[0]
         pressure, flow = ACOUSTIC.across, ACOUSTIC.through_variable
         across = format_voltage(build.get_net(part, first), build.get_net(part, AMBIENT)) or "v(0)"

@@ -6,6 +6,7 @@ constants. The value of a :data:`Fluid` key is a :class:`FluidTable`.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
@@ -19,6 +20,7 @@ from kc2spice.core.quantities import (
     Pressure,
     Ratio,
     Section,
+    UsualRange,
     Velocity,
     make_invalid_value_error,
     si,
@@ -26,6 +28,13 @@ from kc2spice.core.quantities import (
 from kc2spice.core.sound_level import GAS_REFERENCE, LIQUID_REFERENCE
 
 LARGEST_GAS_DENSITY = 100.0  # kg/m3; a denser fluid counts as a liquid
+# At ambient pressure, only gases lighter than LARGEST_FAST_GAS_DENSITY [kg/m3], such as helium with
+# 0.17 kg/m3 and 1007 m/s, have a speed of sound above LARGEST_HEAVY_GAS_SPEED [m/s].
+LARGEST_FAST_GAS_DENSITY, LARGEST_HEAVY_GAS_SPEED = 0.3, 900.0
+# The lower limit exceeds the density of every liquid in g/cm3.
+USUAL_LIQUID_DENSITY = UsualRange(
+    "kg/m3", 25.0, math.inf, "only liquids have such a speed of sound, and liquids are denser"
+)
 LARGEST_HEAT_RATIO = 5 / 3  # heat capacity ratio of a monatomic gas
 # Limits of the density [kg/m3]: the density of a thin gas, and a value above the densest liquid.
 SMALLEST_DENSITY, LARGEST_DENSITY = 1e-6, 3e4
@@ -36,7 +45,7 @@ SMALLEST_CONDUCTIVITY, LARGEST_CONDUCTIVITY = 1e-6, 1e4  # conductivities [W/(m 
 
 
 class FluidTable(Section):
-    """Constants of a fluid at rest.
+    """Table of one fluid's constants at rest, such as density and speed of sound.
 
     Without the key ``viscosity``, there are no viscous losses. Without the key ``conductivity``,
     there are no thermal losses.
@@ -109,6 +118,12 @@ class FluidTable(Section):
         return self.density < LARGEST_GAS_DENSITY
 
     @property
+    def sounds_like_liquid(self) -> bool:
+        """Whether no gas at ambient pressure has this density and speed of sound."""
+        heavy = self.density > LARGEST_FAST_GAS_DENSITY
+        return heavy and self.sound_speed > LARGEST_HEAVY_GAS_SPEED
+
+    @property
     def level_reference_pressure(self) -> float:
         """Rms sound pressure [Pa] that corresponds to a level of 0 dB."""
         if self.reference_pressure is not None:
@@ -118,7 +133,7 @@ class FluidTable(Section):
     @property
     def summary_text(self) -> str:
         """Text with the density and the speed of sound of the fluid."""
-        return f"{self.density:.4g} kg/m3, {self.sound_speed:.5g} m/s"
+        return f"{self.density:.4g} kg/m³, {self.sound_speed:.5g} m/s"
 
 
 # Constants at 20 C and 1013 hPa.

@@ -108,7 +108,7 @@ class Cavity(AcousticPart[CavityKeys]):
     the walls, gamma is the ratio of specific heats, and alpha is the thermal diffusivity.
     """
 
-    name, title = "cavity", "closed volume of fluid with the heat conduction of its walls"
+    name, title = "cavity", "closed volume of fluid with heat loss to its walls"
     schema = CavityKeys
     example = """
 [cavity]
@@ -128,7 +128,7 @@ stop = "2 kHz"
 """
 
     def steady_flow_paths(self, part: Part[CavityKeys]) -> tuple[tuple[str, str], ...]:
-        """Return the path of a steady flow: from the opening to the ambient pressure."""
+        """Return the paths of a steady flow: from the opening to the ambient pressure."""
         return (("a", AMBIENT),)
 
     def get_fluid_volume(self, part: Part[CavityKeys]) -> float:
@@ -191,22 +191,24 @@ stop = "2 kHz"
     def _describe_walls(self, walls: RelaxationSum | None) -> str:
         """Describe the wall losses and the error of the circuit that models the losses."""
         if walls is None:
-            return "without losses at the walls"
-        return f"losses at the walls within {100 * walls.loss_error:.2g} % in the band"
+            return "without heat loss to the walls"
+        return f"heat loss to the walls accurate to {100 * walls.loss_error:.2g} % in the band"
 
     def notes(self, part: Part[CavityKeys], scene: Scene) -> Iterator[str | NeglectedEffect]:
         """Yield the assumptions of the model and the effects that it neglects."""
         keys, walls = part.keys, self._fit_relaxations(part, scene)
         limit = LARGEST_WAVELENGTH_RATIO * keys.fluid.sound_speed / keys.longest_dimension
         yield (
-            f"compliance {keys.compliance:.4g} m3/Pa of {keys.volume:.4g} m3, "
-            f"{keys.fluid.summary_text}; {self._describe_walls(walls)}"
+            f"compliance {format_quantity(keys.compliance, 'm3/Pa')} of "
+            f"{format_quantity(keys.volume, 'm3')}, {keys.fluid.summary_text}; "
+            f"{self._describe_walls(walls)}"
         )
         share = (2 * math.pi * LARGEST_WAVELENGTH_RATIO) ** 2 / 2
         yield NeglectedEffect(
             "waves in the cavity",
             "uniform pressure",
             f"{100 * share:.2g} % at {format_quantity(float(f'{limit:.3g}'), 'Hz')}",
+            size=share,
         )
         yield NeglectedEffect("motion of the walls", "the walls are rigid", "not estimated")
 

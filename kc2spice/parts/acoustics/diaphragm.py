@@ -48,7 +48,7 @@ DIAPHRAGM = Declaration(
     coenergy="-area*x*p",
     neglected=(
         ("bending of the diaphragm", "all its points have the same velocity", "not estimated"),
-        ("weight of the diaphragm", "it only shifts the position of rest", "no effect on sound"),
+        ("weight of the diaphragm", "it only shifts the rest position", "no effect on sound"),
     ),
     example="""
         [cone]
@@ -71,9 +71,9 @@ DIAPHRAGM = Declaration(
         start = "100 Hz"
         stop = "20 kHz"
     """,
-    rating="not checked; the equations are those of small amplitudes",
-    sign="um and N count along a less b; a diaphragm that moves this way presses fluid out of "
-    "front and draws it in by rear",
+    rating="not checked; the equations hold for small amplitudes only",
+    sign="um is the displacement of a minus that of b; N acts in the same direction; a positive "
+    "displacement pushes fluid out of front and draws it in at rear",
     velocities={"x": "speed_m"},
 )
 

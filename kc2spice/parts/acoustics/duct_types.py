@@ -196,7 +196,7 @@ class DuctPart(AcousticPart[DuctKeys]):
         return ("a",) if self.is_closed(part) else ("a", FAR_END)
 
     def steady_flow_paths(self, part: Part[DuctKeys]) -> tuple[tuple[str, str], ...]:
-        """Return the path of a steady flow, from the end ``a`` to the far end or ambient.
+        """Return the paths of a steady flow: from the end ``a`` to far end or ambient.
 
         The fluid in a duct with a closed end acts as a spring between the pins ``a`` and
         ``ambient``.
@@ -269,7 +269,7 @@ class DuctPart(AcousticPart[DuctKeys]):
         duct = self.make_duct_model(part, scene)
         elements = tuple(self._list_elements(part, duct))
         words = (
-            f"duct of {format_quantity(part.keys.length, 'm')} and radius "
+            f"duct of length {format_quantity(part.keys.length, 'm')} and radius "
             f"{format_quantity(part.keys.inner_radius, 'm')}, {self._describe_duct(duct)}; small "
             "amplitudes, fluid at rest"
         )
@@ -281,9 +281,11 @@ class DuctPart(AcousticPart[DuctKeys]):
 
     def _describe_duct(self, duct: DuctModel) -> str:
         """Describe the sections and losses of a duct, with their errors, as text."""
-        losses = f"losses within {100 * duct.loss_error:.2g} %" if duct.viscous else "no losses"
+        losses = "no losses"
+        if duct.viscous:
+            losses = f"losses accurate to {100 * duct.loss_error:.2g} %"
         count = f"{duct.sections} section{'s' if duct.sections > 1 else ''}"
-        return f"{count}, phase within {100 * duct.phase_error:.2g} % and {losses} in the band"
+        return f"{count}, phase accurate to {100 * duct.phase_error:.2g} % and {losses} in the band"
 
     def _list_elements(self, part: Part[DuctKeys], duct: DuctModel) -> Iterator[AcousticElement]:
         """Yield the end corrections, series elements and shunt elements of a duct."""
@@ -314,7 +316,7 @@ class DuctPart(AcousticPart[DuctKeys]):
             yield Element.from_words(FAR_METER, "out", FAR_END, "0")
 
     def vectors(self, part: Part[DuctKeys], build: BuiltScene) -> Mapping[str, PartResult]:
-        """Return the ngspice expression of each result of the part, keyed by result name."""
+        """Return the ngspice vectors: expressions of the part's results, keyed by name."""
         n, flow = part.name, ACOUSTIC.through_variable
         near = f"{n}.{flow.symbol}"
         result = dict(super().vectors(part, build))
@@ -347,10 +349,12 @@ class DuctPart(AcousticPart[DuctKeys]):
         area = math.pi * keys.inner_radius**2
         mass = fluid.density * keys.length / area
         words = self._describe_duct(self.make_duct_model(part, scene))
-        yield f"acoustic mass {mass:.4g} kg/m4, {fluid.summary_text}: {words}"
+        yield f"acoustic mass {mass:.4g} kg/m⁴, {fluid.summary_text}: {words}"
         yield NeglectedEffect("vortices at the ends", "small amplitudes", "losses at high flow")
         yield NeglectedEffect(
-            "radiation of open ends", "end corrections are masses", "join a radiation"
+            "radiation of open ends",
+            "end corrections are masses",
+            "not estimated; connect a part of type radiation",
         )
         yield NeglectedEffect("motion of the walls", "the walls are rigid", "not estimated")
 

@@ -48,8 +48,8 @@ from kc2spice.scene.scene_classes import (
 OUT = "out"  # pin whose voltage is the sound pressure
 RADIATION = "radiation"  # part type of the radiating surfaces
 RIGHT_ANGLE = 90.0  # largest angle [degrees] between the axis and a listener in front of a baffle
-# Functions that apply directivity and travel time to a sound pressure, keyed by the independent
-# variable of the pressure.
+# Functions that apply directivity and propagation delay to a sound pressure, keyed by the
+# independent variable of the pressure.
 _PROPAGATIONS = {"frequency": propagate_response, "time": propagate_wave}
 LOG_DECADES = 1.3  # frequency range in decades above which the frequency axis is logarithmic
 
@@ -223,7 +223,7 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
         sources: tuple[Part[RadiationKeys], ...],
         scene: GovernedScene,
     ) -> None:
-        """Warn about a listener in the near field, or an angle that has no effect."""
+        """Warn of limits: a listener in the near field, or an angle without effect."""
         keys, top = part.keys, find_highest_frequency(scene)
         limit = min(map(self._find_largest_frequency, [part] * len(sources), sources))
         if scene.analysis.is_small_signal and top > limit:
@@ -279,8 +279,8 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
         )
         title = f"{name}: {self.title}; {words}"
         validity = (
-            "far field on the axis, without travel time and directivity; inputs are pressures at "
-            f"{REFERENCE_DISTANCE:g} m; constant temperature"
+            "far field on the axis; propagation delay and directivity are neglected; inputs are "
+            f"pressures at {REFERENCE_DISTANCE:g} m; constant temperature"
         )
         head = write_part_header(header, title, pins, params, rating=RATING, validity=validity)
         items = tuple(_write_sum(len(sources)))
@@ -292,7 +292,7 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
     # --- results ----------------------------------------------------------------------------------
 
     def vectors(self, part: Part[ListenerKeys], build: BuiltScene) -> Mapping[str, PartResult]:
-        """Return the ngspice expression of each result of the part, keyed by result name."""
+        """Return the ngspice vectors: expressions of the part's results, keyed by name."""
         sources = self.list_radiating_surfaces(part, build.scene)
         pressure = replace(
             build.get_pin_vector(part, OUT),
@@ -308,7 +308,7 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
     def corrected_waves(
         self, part: Part[ListenerKeys], build: BuiltScene, waves: Waveforms
     ) -> Mapping[str, np.ndarray]:
-        """Return the sound pressure at the listener, with travel time and directivity."""
+        """Return the sound pressure at the listener, with propagation delay and directivity."""
         sources, keys = self.list_radiating_surfaces(part, build.scene), part.keys
         scale = next(iter(waves))
         propagate = _PROPAGATIONS.get(scale)
@@ -353,7 +353,7 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
     def figures(
         self, part: Part[ListenerKeys], build: BuiltScene, waves: Waveforms
     ) -> Iterator[Figure]:
-        """Yield the diagrams of the part for the report."""
+        """Yield the figures of the part for the report."""
         if build.scene.analysis.type != "ac" or self._is_level_probed(part, build.scene):
             return
         frequency, levels = waves["frequency"].real, self._compute_levels(part, build, waves)
@@ -383,25 +383,27 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
         delay = format_quantity(float(f"{keys.distance / fluid.sound_speed:.3g}"), "s")
         yield (
             f"far field of {names} at {format_quantity(keys.distance, 'm')}, {keys.angle:g} "
-            f"degrees from the axis, which the sound reaches after {delay}; the pin {OUT} has no "
-            "travel time"
+            f"degrees from the axis, which the sound reaches after {delay}; the pin {OUT} does not "
+            "include this delay"
         )
         if len(sources) > 1:
             yield NeglectedEffect(
-                "differences of the distance", "all sources have one distance", "not estimated"
+                "differences of the distance",
+                "all sources are at the same distance",
+                "not estimated",
             )
         surfaces = [source.keys for source in sources]
         if keys.angle and any(map(get_baffled_radius, surfaces)):
             yield NeglectedEffect(
                 "directivity in the netlist",
-                f"the pin {OUT} has the pressure on the axis",
+                f"the pin {OUT} gives the pressure on the axis",
                 f"first null at {format_quantity(find_first_null(surfaces, keys.angle), 'Hz')}",
             )
         if any(source.keys.shape == "free_piston" for source in sources):
-            why = "the pressure is the one on the axis"
+            why = "the result is the pressure on the axis"
             yield NeglectedEffect("directivity of an open end", why, "not estimated")
         size = "about 0.5 dB per metre at 20 kHz in air"
-        yield NeglectedEffect("absorption in the fluid", "no loss on the path", size)
+        yield NeglectedEffect("absorption in the fluid", "the fluid is lossless", size)
 
 
 def _list_input_names(count: int) -> tuple[str, ...]:

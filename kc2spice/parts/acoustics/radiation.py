@@ -92,7 +92,7 @@ class RadiationKeys(FluidKeys):
 
     @property
     def radiator(self) -> Radiator:
-        """Properties of the shape: radiation network, area and solid angle."""
+        """Radiator with the part's shape: its radiation network, area and solid angle."""
         return RADIATORS[self.shape]
 
     @property
@@ -139,11 +139,11 @@ stop = "20 kHz"
 """
 
     def list_pressure_pins(self, part: Part[RadiationKeys]) -> tuple[str, ...]:
-        """Return the pressure pin of the radiating surface."""
+        """Return the pressure pins except ``ambient``: the pin of the radiating surface."""
         return (FACE,)
 
     def steady_flow_paths(self, part: Part[RadiationKeys]) -> tuple[tuple[str, str], ...]:
-        """Return the path of a steady flow, from the surface to the ambient pressure."""
+        """Return the paths of a steady flow: from the surface to the ambient pressure."""
         return ((FACE, AMBIENT),)
 
     def pins(self, part: Part[RadiationKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
@@ -186,7 +186,7 @@ stop = "20 kHz"
         """Yield the cards of the sound pressure at the reference distance."""
         yield (
             f"* sound pressure at {REFERENCE_DISTANCE:g} m on the axis, in the far field, without "
-            "its travel time"
+            "propagation delay"
         )
         if part.keys.shape == "sphere":
             yield "* pressure on the surface times radius / 1 m"
@@ -194,10 +194,13 @@ stop = "20 kHz"
             yield Element.from_words("Esound", SOUND, AMBIENT, FACE, AMBIENT, gain)
             return
         angle = part.keys.radiator.solid_angle * REFERENCE_DISTANCE
-        yield f"* density / {angle:.4g} m times the rate of the volume velocity"
+        yield f"* density / {angle:.4g} m times the time derivative of the volume velocity"
         yield Element.from_words("Fsound", AMBIENT, SOUND, METER, "1")
         if part.keys.shape == "free_piston":
-            yield "* plus that of pressure / impedance: twice the wave that arrives at the opening"
+            yield (
+                "* plus the same factor times the time derivative of pressure / impedance: twice\n"
+                "* the incident wave at the opening"
+            )
             gain = f"{{{ACOUSTIC.admittance:g}/impedance}}"
             yield Element.from_words("Gsound", AMBIENT, SOUND, FACE, AMBIENT, gain)
         mass = format_number(SCALES[MASS] / angle)
@@ -211,7 +214,7 @@ stop = "20 kHz"
         )
 
     def vectors(self, part: Part[RadiationKeys], build: BuiltScene) -> Mapping[str, PartResult]:
-        """Return the ngspice expression of each result of the part, keyed by result name."""
+        """Return the ngspice vectors: expressions of the part's results, keyed by name."""
         level = part.keys.fluid.level_reference_pressure
         ends = format_voltage(build.get_net(part, SOUND), build.get_net(part, AMBIENT))
         sound = replace(
@@ -256,7 +259,9 @@ stop = "20 kHz"
             f"{radiator.words}, radius {format_quantity(keys.surface_radius, 'm')}, "
             f"{keys.fluid.summary_text}: {radiator.error_text}{upper}"
         )
-        yield NeglectedEffect("reflections", "the sound leaves into a free field", "not estimated")
+        yield NeglectedEffect(
+            "reflections", "the sound radiates into a free field", "not estimated"
+        )
         if keys.shape != "sphere":
             words = "an infinite baffle" if keys.shape == "baffled_piston" else "an endless tube"
             size = "up to 6 dB at low frequencies, more if the back is open"
@@ -268,7 +273,7 @@ stop = "20 kHz"
 
 @dataclass(frozen=True)
 class FarField:
-    """Far-field pressure on the axis at the reference distance, without travel time.
+    """Far-field pressure on the axis at the reference distance, without propagation delay.
 
     At the reference distance, the far-field pressure is ``pressure * p + flow * U``, where p [Pa]
     is the pressure on the surface and U [m3/s] its volume velocity. With ``rate``, the far-field

@@ -13,7 +13,9 @@ from kc2spice.core.domains import TRANSLATION, Domain
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.naming import list_names
 from kc2spice.core.progress import StageTimer
+from kc2spice.core.si_prefix_format import format_quantity
 from kc2spice.core.waveforms import Waveforms, integrate_cumulatively
+from kc2spice.fem.body_keys import DampingKeys
 from kc2spice.netlist.number_and_name_spelling import LEAK_RATE
 from kc2spice.parts.bodies._body_model import get_reduction_settings
 from kc2spice.parts.bodies._body_netlist import BodyNetlist
@@ -26,7 +28,7 @@ from kc2spice.parts.bodies._body_ports import (
 )
 from kc2spice.parts.bodies._linear_body_keys import LinearKeysT
 from kc2spice.rom.linear_model import Certificate, LinearModel, Port
-from kc2spice.rom.modal_models import compute_resonators, simulate_resonators
+from kc2spice.rom.modal_models import compute_resonators, simulate_resonators, tabulate_modes
 from kc2spice.rom.stability import prove_stability
 from kc2spice.scene.checks import Check, RunEnergyBalance
 from kc2spice.scene.parttype import compute_pin_forces
@@ -46,28 +48,32 @@ WARNING_ERROR = 0.01
 # at most 0.20.
 # Under the loads of a run, the reduced models of the built-in kick scenes have rms errors below
 # 0.3 %.
-# In models of small chips with 7 to 12 states, the relative error of a port's compliance is at
-# least 0.53.
-# Under the loads of a run, the models of small chips with 7 to 12 states have errors of 2 to 3 %.
+# Reduced models of small piezoelectric chips with only 7 to 12 states have a relative error of at
+# least 0.53 in a port's compliance.
+# In transient runs with a contact, reduced models of small piezoelectric chips with 7 to 12 states
+# have errors of 2 to 3 %.
 MAX_COMPLIANCE_ERROR = 0.3
 REDUCED_ADVICE = "the reduced model of order {} is too inaccurate in its band: {}"
-LOADED_UNIT = "rms of displacement or charge, under the run's own loads"
+LOADED_UNIT = "rms of displacement or charge, under the loads of the run"
 FEWER_STATES_ADVICE = (
-    "a model of {} states answers the run's own forces and voltages that differently: set {}"
+    "under the loads of the run, the reduced model has this error relative to a model with {} "
+    "states: set {}"
 )
 RESONANCE_ADVICE = (
-    "the reduced model is that far off at some frequency of its band, such as a sharp resonance, "
-    "and what rings on after the loads of this run drifts out of phase: set rom.tolerance, or a "
-    "larger rom.order, if that ringing matters"
+    "the reduced model has this error at some frequency in its band, for example at a sharp "
+    "resonance; free ringing after the loads have ended drifts out of phase: if this ringing "
+    "matters, set rom.tolerance or a larger rom.order"
 )
 UNSTABLE_BODY_ADVICE = (
-    "the body has motions that grow by themselves: check signs and halves of its matrices"
+    "the body has unstable modes: check the signs of its matrices, and that both triangles of each "
+    "matrix are present"
 )
 UNSTABLE_FULL_ADVICE = (
-    "the full model has motions that grow by themselves, and the reduced one does not hold them"
+    "the full model has unstable modes, and the reduced model does not contain them"
 )
 STEEP_EDGE_ADVICE = (
-    "its current within an edge is off: widen rom.band, or give the drive the edge that it has"
+    "the current during a voltage edge is inaccurate: widen rom.band, or set the actual rise time "
+    "of the drive"
 )
 CONTACT_ADVICE = "a contact excites modes of the body that the reduced model lacks: widen rom.band"
 # Smallest ratio of the upper end of the band to the lowest resonance frequency.
@@ -75,6 +81,13 @@ CONTACT_ADVICE = "a contact excites modes of the body that the reduced model lac
 MIN_BAND_RATIO = 1.5
 # Time points count as equal if their distance is below this fraction of the run's duration.
 EQUAL_TIME_TOLERANCE = 1e-9
+# Ratio of two natural frequencies up to which a stated Q factor applies to both modes. With viscous
+# damping, the Q factor of the higher mode is at least 1 / 1.1 of the stated Q factor.
+SAME_DAMPING_RATIO = 1.1
+# Ratio of coupling factors above which the voltage drives one mode much more than another mode.
+STRONG_COUPLING_RATIO = 3.0
+# smallest coupling factor of a mode with a visible resonance in the impedance
+VISIBLE_COUPLING = 0.01
 # largest fraction of a floating electrode's charge that may leak away in the netlist
 MAX_CHARGE_LOSS = 1e-4
 # Largest permitted error of the energy balance, relative to the stored energy.
@@ -113,8 +126,10 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
             highest = float(waves["frequency"].real.max())
             # the factor 1 + 1e-9 allows for the rounding error of the highest frequency
             limit = (1 + 1e-9) * result.band_hz[1]
-            yield Check(f"band of {part.name}", highest, limit, "Hz", OUTSIDE_BAND_ADVICE, "warn")
+            name, label = f"band of {part.name}", f"highest analysis frequency, {part.name}"
+            yield Check(name, highest, limit, "Hz", OUTSIDE_BAND_ADVICE, "warn", label=label)
         yield from self._check_rating(part, build, waves)
+        yield from self._check_damping_frequency(part, model, waves)
         if "time" not in waves:
             return
         if (balance := self._balance_energy(part, build, waves)) is not None:
@@ -138,7 +153,67 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
             name = get_wave_name(part.name, ports, port)
             if port.is_paired and f"{name}.voltage" in waves:
                 largest = float(np.abs(waves[f"{name}.voltage"]).max())
-                yield Check(f"rating of {name}", largest, volts, "V", DEPOLING_ADVICE, "warn")
+                yield Check(
+                    f"rating of {name}",
+                    largest,
+                    volts,
+                    "V",
+                    DEPOLING_ADVICE,
+                    "warn",
+                    label=f"peak voltage of {name}",
+                )
+
+    def _check_damping_frequency(
+        self, part: Part[LinearKeysT], model: LinearModel, waves: Waveforms
+    ) -> Iterator[Check]:
+        """Yield a warning if the damping frequency is that of a weakly coupled mode.
+
+        The mode with the largest electrical coupling factor in the analysed band is compared with
+        the first mode, at which the stated damping applies. The method yields a violated check if
+        the first mode is outside of the analysed band. The method also yields a violated check if
+        the coupling factor of the first mode is much smaller than the largest coupling factor.
+        """
+        damping = getattr(part.keys, "damping", None)
+        key = damping.key_at_first_resonance if isinstance(damping, DampingKeys) else ""
+        first = model.facts.get("resonance_short_hz", model.facts.get("resonance_hz"))
+        electrodes = [port.name for port in model.ports if port.electrical]
+        moves = "frequency" in waves or "time" in waves
+        table = tabulate_modes(model) if key and first and electrodes and moves else None
+        if table is None or first is None:
+            return
+        low, high = 0.0, math.inf
+        if "frequency" in waves:
+            low, high = waves["frequency"].real.min(), waves["frequency"].real.max()
+        coupling = {
+            mode["frequency_hz"]: max(map(mode["couplings"].__getitem__, electrodes))
+            for mode in table["modes"]
+        }
+        inside = [f for f in coupling if low <= f <= high]
+        if not inside:
+            return
+        strongest = max(inside, key=coupling.__getitem__)
+        ratio, size = strongest / first, coupling[strongest]
+        lowest = coupling[min(coupling, key=lambda f: abs(f - first))]
+        is_strongest = low <= first <= high and size <= STRONG_COUPLING_RATIO * lowest
+        if is_strongest or ratio <= SAME_DAMPING_RATIO or size < VISIBLE_COUPLING:
+            return
+        (quality,) = (m["quality"] for m in table["modes"] if m["frequency_hz"] == strongest)
+        at, applied = format_quantity(strongest, "Hz", 4), format_quantity(first, "Hz", 4)
+        q_factor = f"a Q factor of {quality:.3g}" if quality else "no damping"
+        advice = (
+            f"{part.name}.damping.{key} applies to the mode at {applied}, but voltages in the "
+            f"analysed band most strongly excite the mode at {at}, which has {q_factor}: "
+            f'set {part.name}.damping.at = "{at}" if {key} is meant for this mode'
+        )
+        yield Check(
+            f"damping of {part.name}",
+            ratio,
+            SAME_DAMPING_RATIO,
+            "times the frequency for which the damping is stated",
+            advice,
+            "warn",
+            label=f"frequency ratio, damping of {part.name}",
+        )
 
     def _check_leak(self, part: Part[LinearKeysT], build: BuiltScene) -> Iterator[Check]:
         """Yield the check of the charge that leaks from each floating electrode.
@@ -148,9 +223,12 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
         leaked = -math.expm1(-build.scene.stop_time * LEAK_RATE)
         ports = list_names(select_paired_ports(build.model(part, LinearModel).ports))
         for port in ports if leaked > MAX_CHARGE_LOSS else ():
-            name = f"charge kept by {part.name}.{port} if it floats"
-            advice = "the netlist has a leak: add a resistor with the real value at the electrode"
-            yield Check(name, leaked, MAX_CHARGE_LOSS, "of it lost", advice, "warn")
+            name = f"charge lost by {part.name}.{port} if it floats"
+            advice = (
+                "the netlist contains an assumed leakage resistance: add a resistor with the real "
+                "leakage resistance at the electrode"
+            )
+            yield Check(name, leaked, MAX_CHARGE_LOSS, "of the charge", advice, "warn")
 
     def _check_reduction(
         self, part: Part[LinearKeysT], build: BuiltScene, waves: Waveforms, certificate: Certificate
@@ -191,7 +269,13 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
         more = {key: order, f"{name}.rom.band": list(certificate.band_hz)} if default else {}
         yield replace(check, suggested=more, loaded=True)
         yield Check(
-            f"resonances of {name}", error, WARNING_ERROR, "of a response", RESONANCE_ADVICE, "warn"
+            f"resonances of {name}",
+            error,
+            WARNING_ERROR,
+            "of a response",
+            RESONANCE_ADVICE,
+            "warn",
+            label=f"error of the reduced model of {name} in its band",
         )
 
     def _advise_reduction(self, part: Part[LinearKeysT], build: BuiltScene) -> str:
@@ -208,9 +292,10 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
     ) -> tuple[float, int] | None:
         """Estimate the error of the reduced ``model`` under the recorded loads of a run.
 
-        The error is the largest one up to the last change of the loads. The second returned value
-        is the number of states of the reference model. The result is None if a load was not
-        recorded, or if no model with more states exists.
+        The first returned value is the largest relative rms error of all outputs up to the last
+        change of the loads. The second returned value is the number of states of the reference
+        model. The result is None if a load was not recorded, or if no model with more states
+        exists.
         """
         loads, certificate = self.list_port_loads(part, build, waves), model.certificate
         if certificate is None or not set(model.inputs) <= loads.keys():
@@ -227,7 +312,7 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
             if self._has_constant_loss_factors(part):
                 return None
             try:
-                return self.get_fixed_order_reductions(
+                return self.get_reductions_by_order(
                     part, build.scene, StageTimer()
                 ).make_enriched_model(key["enriched"], band)
             except (SimulationError, UsageError):
@@ -263,8 +348,15 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
         if any(row.overrides_others for row in rows):
             lowest = build.model(part, LinearModel).facts.get("resonance_short_hz")
             if lowest is not None:
-                name = f"band of {part.name}, first resonance"
-                yield Check(name, MIN_BAND_RATIO * lowest, high, "Hz", CONTACT_ADVICE, "warn")
+                yield Check(
+                    f"band of {part.name}, first resonance",
+                    MIN_BAND_RATIO * lowest,
+                    high,
+                    "Hz",
+                    CONTACT_ADVICE,
+                    "warn",
+                    label=f"band required by the contact, {part.name}",
+                )
             return
         apart = np.diff(t) > EQUAL_TIME_TOLERANCE * t[-1]
         for port in self.used_ports(part, scene):
@@ -277,7 +369,8 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
             slope = np.abs(np.diff(voltage)[apart] / np.diff(t)[apart]).max()
             name = f"band of {part.name}, drive of {port.name}"
             content = float(slope / (np.pi * np.ptp(voltage)))
-            yield Check(name, content, high, "Hz", STEEP_EDGE_ADVICE, "warn")
+            label = f"frequency content, {part.name}.{port.name}"
+            yield Check(name, content, high, "Hz", STEEP_EDGE_ADVICE, "warn", label=label)
 
     def list_port_loads(
         self, part: Part[LinearKeysT], build: BuiltScene, waves: Waveforms
@@ -303,15 +396,15 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
     def _balance_energy(
         self, part: Part[LinearKeysT], build: BuiltScene, waves: Waveforms
     ) -> RunEnergyBalance | None:
-        """Return a body's energy balance in a run; recorded loads determine the losses.
+        """Return a body's energy balance in a run, with losses computed from the loads.
 
         The exact response is the response of the reduced model to the recorded loads. The losses
-        are the work of the loads on the exact response, minus the energy stored by the exact
-        response. If the current of the body is among the waveforms, the electrical work is computed
-        from this current. The balance is relative to the largest change of the stored energy. If
-        the stored energy is constant, the balance is relative to the rounding error of the stored
-        energy. If the time steps do not resolve the ringing, the comparison stops at the end of the
-        last force on the body.
+        are the work of the loads minus the increase of the stored energy, both computed from the
+        exact response. If the current of the body is among the waveforms, the electrical work is
+        computed from this current. The balance is relative to the largest change of the stored
+        energy. If the stored energy is constant, the balance is relative to the rounding error of
+        the stored energy. If the time steps do not resolve the ringing, the comparison stops at the
+        end of the last force on the body.
         """
         model, t = compute_resonators(build.model(part, LinearModel)), waves["time"]
         ports = self.used_ports(part, build.scene)
@@ -367,4 +460,12 @@ def _locate_reduction_table(part: Part[LinearKeysT], scene: Scene) -> str:
 def _make_reduction_check(name: str, error: float, unit: str, advice: str) -> Check:
     """Return the check that limits the error of a reduced model."""
     limit, action = (FAILURE_ERROR, "fail") if error > FAILURE_ERROR else (WARNING_ERROR, "warn")
-    return Check(f"reduction of {name}", error, limit, unit, advice, action)  # type: ignore[arg-type]
+    return Check(
+        f"reduction of {name}",
+        error,
+        limit,
+        unit,
+        advice,
+        action,  # type: ignore[arg-type]
+        label=f"error of the reduced model of {name}",
+    )

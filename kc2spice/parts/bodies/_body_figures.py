@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kc2spice.core.figure import ColourMap, Curve, Figure, Panel, scale_time_axis, select_window
+from kc2spice.core.figure import ColourMap, Curve, Figure, Panel, choose_time_unit, select_window
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.modal_models import Resonators
@@ -79,7 +79,7 @@ def plot_port_impedances(
             continue
         charge = answers[:, model.outputs.index(port.name), model.inputs.index(port.name)]
         port_name = name if port.name == "anode" else f"{name}_{port.name}"
-        how = "of the reduced model, nothing pressing on the body, other electrodes shorted"
+        how = "of the reduced model without forces on the body, other electrodes shorted"
         if (charge != 0).all():
             yield plot_impedances(
                 port_name, f, {"": 1 / (2j * np.pi * f * charge)}, how + IMPEDANCE_CAPTION
@@ -104,7 +104,7 @@ def plot_responses(name: str, waves: Waveforms) -> Iterator[Figure]:
             panels.append(Panel("", label, tuple(curves), log_x=log, log_y=True))
     if panels:
         panels[-1] = replace(panels[-1], x="frequency in Hz")
-        caption = f"What the ports of {name} answer with."
+        caption = f"Amplitudes of the voltages and displacements at the ports of {name}."
         yield Figure(f"{name}_response", f"Response of {name}", caption, tuple(panels))
 
 
@@ -121,7 +121,7 @@ def plot_port_waves(name: str, waves: Waveforms) -> Iterator[Figure]:
     if (above := np.flatnonzero(size > 0.02 * size.max())).size:
         first, last = t[above[0]], t[above[-1]]
         inside = select_window(t, first - 0.1 * (last - first), last + 0.1 * (last - first))
-    label, factor = scale_time_axis(t[inside])
+    label, factor = choose_time_unit(t[inside])
     x = factor * t[inside]
     curves = tuple(Curve(n.rpartition(".")[2], x, 1e6 * v[inside]) for n, v in moved.items())
     panels = [Panel("", "displacement in µm", curves)]
@@ -129,7 +129,7 @@ def plot_port_waves(name: str, waves: Waveforms) -> Iterator[Figure]:
         if (wave := waves.data.get(f"{name}.{word}")) is not None:
             panels.append(Panel("", f"{word} in {unit}", (Curve("", x, wave[inside]),)))
     panels[-1] = replace(panels[-1], x=label)
-    caption = f"Ports of {name} while they move most."
+    caption = f"Waveforms at the ports of {name} while displacements exceed 2 % of their maximum."
     yield Figure(f"{name}_ports", f"Motion of {name}", caption, tuple(panels))
 
 

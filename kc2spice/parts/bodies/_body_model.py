@@ -46,9 +46,8 @@ if TYPE_CHECKING:
 
 # Default relative tolerance of a reduction over parameter ranges.
 RANGE_TOLERANCE = 1e-4
-# Smallest upper end [Hz] of the default band in a transient.
-# The default band has at least this upper end, because switching in a circuit excites unknown
-# frequencies.
+# The default band of a transient ends at this frequency [Hz] or at a higher frequency.
+# A default band must not end too low, because switching in a circuit excites unknown frequencies.
 MIN_BAND_END = 10e3
 # Largest number of natural frequencies in the default band.
 # Natural frequencies of higher modes depend on the mesh.
@@ -155,7 +154,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
         return max([self.get_min_band_end(scene), *content])
 
     def get_min_band_end(self, scene: Scene) -> float:
-        """Return the smallest upper limit [Hz] that a default band can have."""
+        """Return the lowest frequency [Hz] at which a default band may end."""
         return MIN_BAND_END
 
     def model_key(self, part: Part[LinearKeysT], scene: Scene) -> Mapping[str, Any]:
@@ -301,7 +300,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
             from kc2spice.rom.modal_models import add_dielectric_loss, make_highest_modes_massless
             from kc2spice.rom.soft_support import support_softly
 
-            orders = self.get_fixed_order_reductions(part, scene, clock)
+            orders = self.get_reductions_by_order(part, scene, clock)
             selected = orders.model
             with clock.time_stage("reduce", f"reduction of {part.name}"):
                 order = None if target.order is None else min(target.order, selected.order)
@@ -320,10 +319,10 @@ class BodyModel(BodyPorts[LinearKeysT]):
                 raise wrong(
                     f"{part.name}.damping.{'model' if constants else 'loss_tangent'}",
                     (
-                        f"{'complex constants' if constants else 'a loss tangent'} cannot be "
-                        "combined with damping that couples modes, or with a rigid-body mode"
+                        f"{'complex material constants' if constants else 'a loss tangent'} "
+                        "cannot be combined with damping that couples modes, or with a rigid-body "
+                        "mode"
                     ),
-                    got="damping that couples modes, or a rigid-body mode",
                     expected=(
                         "damping by `ratio`, `quality` or `loss_factor`, and no rigid-body mode"
                     ),
@@ -350,7 +349,12 @@ class BodyModel(BodyPorts[LinearKeysT]):
         key: Mapping[str, Any],
         full: Callable[[], LinearModel],
     ) -> tuple[float, float]:
-        """Limit a transient's default band to the full model's first natural frequencies."""
+        """Exclude high natural frequencies from the default band of a transient.
+
+        The band ends at natural frequency number :data:`BAND_MODES` of the full model, but not
+        below the frequency that :meth:`find_least_band_end` returns. Bands of other analyses, and
+        bands that the user states, are unchanged.
+        """
         from kc2spice.rom.band import find_band_end
 
         (low, high), least_end = band, key.get("sure")
@@ -376,12 +380,12 @@ class BodyModel(BodyPorts[LinearKeysT]):
         # A contact, a switch or a tabulated drive excites modes above the band.
         return reduce_model(model, **aims, contact=True)
 
-    def get_fixed_order_reductions(
+    def get_reductions_by_order(
         self, part: Part[LinearKeysT], scene: Scene, clock: StageTimer
     ) -> ReductionsByOrder:
-        """Return an object that reduces the full model to any prescribed order.
+        """Return the object that reduces the full model to any order on request.
 
-        The returned object reduces the model on request. The object remains in the workspace,
+        The returned object remains in the workspace,
         because the next scene often needs another order of the same model.
         """
         from kc2spice.rom.time_domain_errors import ReductionsByOrder
@@ -392,7 +396,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
         )
 
         def make_reductions() -> ReductionsByOrder:
-            """Make the object that reduces the full model to prescribed orders."""
+            """Make the object that computes reductions of the full model on request."""
             return ReductionsByOrder(self._make_mid_range_full_model(part, scene, clock))
 
         return scene.workspace.get_or_compute(f"orders {self.name}", key, make_reductions)
@@ -496,9 +500,9 @@ def describe_reduction_target(rom: RomKeys) -> str:
     """Describe the order or tolerance and the band of a reduction as text."""
     low, high = rom.band
     target = f"order {rom.order}"
-    if rom.order is None:
-        target = f"as many states as keep the error below {rom.tolerance:g}"
-    return f"{target}, band {format_quantity(low, 'Hz')} … {format_quantity(high, 'Hz')}"
+    if rom.tolerance is not None:
+        target = f"an error below {100 * rom.tolerance:g} %"
+    return f"{target} from {format_quantity(low, 'Hz')} to {format_quantity(high, 'Hz')}"
 
 
 def get_reduction_settings(part: Part, scene: Scene) -> RomKeys:

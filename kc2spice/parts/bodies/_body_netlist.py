@@ -35,7 +35,7 @@ _MAX_NAME_LENGTH = 47
 
 
 class BodyNetlist(BodyModel[LinearKeysT]):
-    """Base class of linear parts with subcircuit, result vectors and equations."""
+    """Base class of bodies that adds their netlist, result vectors and equations."""
 
     noise = ("Rnoise",)
 
@@ -71,7 +71,7 @@ class BodyNetlist(BodyModel[LinearKeysT]):
         volts = self.rated_voltage(part, build)
         rating = f"{volts:.4g} V between {RATING_TEXT}" if volts else UNRATED
         if not volts and select_paired_ports(build.model(part, LinearModel).ports):
-            rating += "; key rated_voltage states the largest voltage, a run then warns beyond it"
+            rating += "; with the key rated_voltage, a run warns about higher voltages"
         words: dict[str, Any] = {"title": self.headline(part), "rating": rating}
         words["weights"] = self.weights(part, build.scene)
         if keys := list_varied_keys(part):
@@ -93,7 +93,7 @@ class BodyNetlist(BodyModel[LinearKeysT]):
         )
 
     def vectors(self, part: Part[LinearKeysT], build: BuiltScene) -> Mapping[str, PartResult]:
-        """Return the ngspice expression of each result of the part, keyed by result name."""
+        """Return the ngspice vectors: expressions of the part's results, keyed by name."""
         result: dict[str, PartResult] = {}
         ports = self.used_ports(part, build.scene)
         for port in ports:
@@ -126,7 +126,7 @@ class BodyNetlist(BodyModel[LinearKeysT]):
     def law(
         self, part: Part[LinearKeysT], build: BuiltScene
     ) -> laws.Equations | laws.MissingEquations:
-        """Return the part's model equations, or the reason why they are missing."""
+        """Return the part's law: its model equations, or the reason why it has none."""
         model = build.model(part, LinearModel)
         ports, n, heated = model.ports, part.name, self.gives_off_heat(part, build.scene)
         heat, last = is_heat_model(model), self.reference_terminal(part, build.scene).name
@@ -142,9 +142,7 @@ class BodyNetlist(BodyModel[LinearKeysT]):
         conservative = {port.conservative for port in ports}
         signals, mixed = True not in conservative, False in conservative
         if not signals and mixed:
-            return laws.MissingEquations(
-                "it has ports of signals beside ports of forces or currents"
-            )
+            return laws.MissingEquations("it has both signal ports and ports of forces or currents")
         if not signals and model.first_order != heat:
             return laws.MissingEquations("its equations are of first order, without inertia")
         law: laws.Law
@@ -181,4 +179,6 @@ class BodyNetlist(BodyModel[LinearKeysT]):
             return result
         if isinstance(law, laws.SecondOrderBody) and modal is not None:
             return add_loss_heat(result, law)
-        return laws.MissingEquations("the heat of states that damping couples is not known")
+        return laws.MissingEquations(
+            "the heat dissipated in modes that are coupled by damping is not computed"
+        )

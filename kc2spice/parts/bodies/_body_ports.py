@@ -47,7 +47,7 @@ ZERO_ENERGY = 1e-13
 
 
 class BodyPorts(TouchablePart[LinearKeysT]):
-    """Base of body part types, whose models contain only ports that the scene uses.
+    """Base class that adds ports to bodies; models contain only ports that scenes use.
 
     A subclass derives its :meth:`ports` from the keys of the part.
     """
@@ -60,10 +60,10 @@ class BodyPorts(TouchablePart[LinearKeysT]):
         """Return all ports of the body."""
 
     def headline(self, part: Part[LinearKeysT]) -> str:
-        """Return the header line of a library, which states the model's assumptions."""
+        """Return the headline of a library header, which states the model's assumptions."""
         return self.title
 
-    def material_rating(self, part: Part[LinearKeysT]) -> float | None:
+    def material_voltage_rating(self, part: Part[LinearKeysT]) -> float | None:
         """Return the voltage rating [V] that follows from the material; None if unknown."""
         return None
 
@@ -72,7 +72,7 @@ class BodyPorts(TouchablePart[LinearKeysT]):
     ) -> float | None:
         """Return the voltage rating [V] of the electrodes, from keys, layers or mesh."""
         mesh = {} if build is None else build.model(part, LinearModel).facts
-        known = part.keys.rated_voltage or self.material_rating(part)
+        known = part.keys.rated_voltage or self.material_voltage_rating(part)
         return known or mesh.get("depoling_voltage_v")
 
     def used_ports(self, part: Part[LinearKeysT], scene: JoinedScene) -> tuple[Port, ...]:
@@ -142,7 +142,7 @@ class BodyPorts(TouchablePart[LinearKeysT]):
     def equilibrium_conditions(
         self, part: Part[LinearKeysT], scene: WiredScene
     ) -> EquilibriumConditions:
-        """Return the pin pairs between which the body carries a constant force or flow.
+        """Return the pin pairs between which the body can transmit a constant flow.
 
         The body transmits a constant force, torque, heat flow or volume flow from each
         displacement, angle, temperature or pressure pin to the reference pin. The pin ``heat``,
@@ -269,7 +269,7 @@ def requires_massless_ports(part: Part, scene: JoinedScene) -> bool:
 
 
 def list_inertial_pins(model: LinearModel) -> tuple[str, ...]:
-    """Return the displacement pins that have an inertia but no direct compliance.
+    """Return displacement pins with inertia, which a sudden force cannot move at once.
 
     At such a pin, the displacement cannot follow a sudden force, because the feedthrough matrix D
     and the massless states contribute nothing.

@@ -90,7 +90,7 @@ class LoadedFace:
         return hertz, face, surface
 
     @property
-    def is_audible(self) -> bool:
+    def can_compute_sound(self) -> bool:
         """Whether electrodes can drive the body and the model can compute its sound."""
         driven = any(port.electrical for port in self.device.model.ports)
         return driven and self.load.complete and bool(self.load.sources)

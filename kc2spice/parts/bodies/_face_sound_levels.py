@@ -65,7 +65,7 @@ class FaceLevelEffects:
         represents the face. ``size`` is None if the scene assumes no baffle.
     unbaffled : change [dB] of the level if the assumed baffle is removed; None if the scene assumes
         no baffle, or if ``size`` exceeds :data:`LARGEST_DIPOLE_KA`.
-    detuned : change [dB] of the level at a frequency 1 % beside the resonance. ``detuned`` is None
+    detuned : change [dB] of the level at a frequency 1 % below or above the resonance, None
         without electrodes or sound.
     halved : change [dB] of the level at half the Q factor, None without electrodes or sound.
     node : diameter [m] of the nodal circle, None without a nodal circle.
@@ -103,8 +103,8 @@ class FaceLevelEffects:
         return math.hypot(*sizes)
 
 
-def find_node_diameter(motion: FaceMotion, mode: int) -> float | None:
-    """Return the diameter [m] of the innermost nodal circle on a face."""
+def find_nodal_circle_diameter(motion: FaceMotion, mode: int) -> float | None:
+    """Find the diameter [m] of the innermost nodal circle on a face."""
     if not motion.axisymmetric:
         return None
     order = np.argsort(motion.places[0])
@@ -117,8 +117,11 @@ def find_node_diameter(motion: FaceMotion, mode: int) -> float | None:
     return float(2 * (radius[k] + share * (radius[k + 1] - radius[k])))
 
 
-def estimate_face_levels(face: LoadedFace) -> FaceLevelEffects | None:
-    """Estimate how assumptions change a face's sound level; None if no mode radiates."""
+def estimate_face_level_effects(face: LoadedFace) -> FaceLevelEffects | None:
+    """Estimate the effect of each assumption on the sound level of a radiating face.
+
+    The result is None if no mode of the face radiates sound.
+    """
     hertz, motion, surface = face.compute_mode_motions()
     select = motion.piston_ratios > SMALLEST_PISTON_RATIO
     hertz = hertz[select]
@@ -126,7 +129,7 @@ def estimate_face_levels(face: LoadedFace) -> FaceLevelEffects | None:
         return None
     motion, surface = motion.select_motions(select), surface.select_motions(select)
     main, tone, level = 0, None, 0.0
-    if face.is_audible:
+    if face.can_compute_sound:
         low = hertz[0] * LOWEST_SHARE
         high = face.end if face.count > 1 else hertz[0] * HALF_OCTAVE
         tone, level = face.find_loudest(low, high)
@@ -135,7 +138,7 @@ def estimate_face_levels(face: LoadedFace) -> FaceLevelEffects | None:
         float(hertz[main]),
         float(motion.piston_ratios[main]),
         float(motion.peak_ratios[main]),
-        node=find_node_diameter(motion, main),
+        node=find_nodal_circle_diameter(motion, main),
     )
     result = _compare_with_piston(result, face, motion, hertz, main)
     if result.size is not None and result.size <= LARGEST_DIPOLE_KA:
@@ -189,18 +192,18 @@ def describe_piston_difference(name: str, facing: FluidAtFace, levels: FaceLevel
     first = facing.names[0]
     advice = f'State this assumption in the scene by {first}.motion = "piston"'
     text = (
-        f"{name} is not a piston: at {format_quantity(levels.resonance, 'Hz')}, its volume "
-        f"velocity is {share:.2g} of that of a piston with its rms velocity. "
+        f"{name} does not move like a piston: at {format_quantity(levels.resonance, 'Hz')}, its "
+        f"volume velocity is {share:.2g} of that of a piston with the same rms velocity. "
     )
     if facing.radiation is None:
         return (
-            f"{text}{' and '.join(facing.names)} contain its volume velocity alone: the near "
-            f"field {_describe_near_field(levels)}. {advice}"
+            f"{text}The model of {' and '.join(facing.names)} includes only the volume velocity of "
+            f"the face: the near field {_describe_near_field(levels)}. {advice}"
         )
     worst, sign = abs(levels.worst), "less" if levels.worst < 0 else "more"
     return (
-        f"{text}It radiates {worst:.1f} dB {sign} power than {first} at "
-        f"{format_quantity(levels.worst_frequency, 'Hz')}, and the same pressure on the axis. "
+        f"{text}{name} radiates {worst:.1f} dB {sign} power than {first} at "
+        f"{format_quantity(levels.worst_frequency, 'Hz')}, but the same pressure on the axis. "
         f"{advice}"
     )
 
@@ -223,11 +226,11 @@ def list_level_effects(
     place, percent = format_quantity(float(f"{levels.resonance:.4g}"), "Hz"), 100 * TOLERANCE
 
     def make_neglected_effect(of: str, assumption: str, size: str) -> NeglectedEffect:
-        """Return a record of an assumption about the face and of the error it causes."""
+        """Make the record of a neglected effect: the assumption and the error it causes."""
         return NeglectedEffect(f"{name}: {of}", assumption, size, summarised=True)
 
     if direct:
-        shape = f"{levels.power:+.1f} dB of power at {place}"
+        shape = f"{levels.power:+.1f} dB power relative to a piston at {place}"
         yield make_neglected_effect(f"motion of {port}", "a piston", shape)
     else:
         share = f"{levels.piston_ratio:.2g} of the volume velocity of a piston at {place}"
@@ -241,7 +244,7 @@ def list_level_effects(
             size = f"about {levels.unbaffled:+.0f} dB without a baffle"
         yield make_neglected_effect(f"baffle of {port}", "infinite and rigid", size)
     if levels.detuned is not None:
-        size = f"{levels.detuned:+.1f} dB for a tone {percent:g} % beside it"
+        size = f"{levels.detuned:+.1f} dB for a tone detuned by {percent:g} %"
         yield make_neglected_effect("resonance", "exact", size)
     if levels.support:
         changes = ", ".join(f"{change:+.1f}" for change in levels.support)
@@ -251,5 +254,5 @@ def list_level_effects(
         yield make_neglected_effect("support", "ideal", size)
     if levels.halved is not None:
         yield make_neglected_effect(
-            "Q factor", "as stated", f"{levels.halved:+.1f} dB at half of it"
+            "Q factor", "as stated", f"{levels.halved:+.1f} dB at half the Q factor"
         )

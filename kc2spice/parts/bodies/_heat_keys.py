@@ -47,7 +47,7 @@ class FilmKeys(Section):
 
     @model_validator(mode="after")
     def _require_film_coefficient(self) -> FilmKeys:
-        """Require a positive coefficient for a film with a pin."""
+        """Require a positive heat transfer coefficient of a film whose fluid has a pin."""
         if self.pin is not None and not self.coefficient:
             raise make_invalid_value_error(
                 "a film with a pin needs a coefficient greater than 0",
@@ -125,7 +125,7 @@ class HeatSourceKeys(Section):
         """Require exactly one of the keys ``group`` and ``at`` for a heat source."""
         if (self.group is None) == (self.at is None):
             raise make_invalid_value_error(
-                "this entry needs group or at",
+                "this entry needs either the key `group` or the key `at`",
                 None,
                 hint='add for example  group = "top"'
                 if self.group is None
@@ -196,19 +196,20 @@ class HeatBodyKeys(MeshKeys):
         """Reject contradictory keys of a heat body."""
         if bool(self.layers) == bool(self.mesh):
             raise make_invalid_value_error(
-                "a heat_body needs either mesh or layers",
+                "a heat_body needs either the key `mesh` or the key `layers`",
                 None,
                 hint="delete the key `mesh`" if self.mesh else 'add for example  mesh = "case.msh"',
             )
         if self.layers and (self.materials or self.interfaces or self.axisymmetric or self.groups):
             raise make_invalid_value_error(
-                "layers cannot be combined with materials, interfaces, axisymmetric or groups",
+                "layers cannot be combined with the keys `materials`, `interfaces`, `axisymmetric` "
+                "or `groups`",
                 None,
                 hint="delete the keys `materials`, `interfaces`, `axisymmetric` and `groups`",
             )
         if self.mesh and not self.materials:
             raise make_invalid_value_error(
-                "a mesh needs materials",
+                "the key `mesh` needs the key `materials`",
                 None,
                 hint='add for example  materials = { GROUP = "copper" }  with a group of the mesh',
             )
@@ -241,7 +242,7 @@ class HeatBodyKeys(MeshKeys):
             )
         if not (self.has_path_to_surroundings or self.isothermal or [*self.film_pins]):
             raise make_invalid_value_error(
-                "heat cannot leave the body: add fixed, films or isothermal",
+                "heat cannot leave the body: add the key `fixed`, `films` or `isothermal`",
                 None,
                 hint='add for example  fixed = ["bottom"]',
             )

@@ -160,7 +160,7 @@ class LinearBody(BodyChecks[LinearKeysT]):
         yield from _body_figures.plot_port_waves(part.name, waves)
         response = compute_impedance(part, waves)
         if response is not None:
-            how = f"as the circuit shows it at {part.name}"
+            how = f"from the simulated voltage and current at {part.name}"
             f, z = response
             yield _body_figures.plot_impedances(
                 part.name, f, {"": z}, how + _body_figures.IMPEDANCE_CAPTION
@@ -178,26 +178,29 @@ class LinearBody(BodyChecks[LinearKeysT]):
         reach = (
             ""
             if self.find_least_band_end(part, scene) is None
-            else f", or {BAND_MODES} natural frequencies"
+            else f", or to natural frequency {BAND_MODES} if it is lower"
         )
-        yield f"reduced to {describe_reduction_target(rom)}{reach}; ports {ports}"
+        yield f"reduced model with {describe_reduction_target(rom)}{reach}"
+        yield f"ports {ports}"
         unused = list_names(filterfalse(used.__contains__, self.ports(part, scene)))
         if unused:
             what = f"{part.name}: ports {', '.join(unused)}"
-            why = "nothing of the scene needs them"
+            why = "no part or probe uses them"
             if part.declares_ports:
-                why = "nothing joins them: a run leaves them out, an export keeps them"
+                why = "not connected: a run omits them, an export includes them"
             yield NeglectedEffect(what, why, "none")
         if has_complex_constants(part):
-            what = f"{part.name}: losses of shear and of piezoelectric constants of their own"
+            what = f"{part.name}: separate loss factors of shear and of piezoelectric constants"
             yield NeglectedEffect(
-                what, "one Q for all compliances, real d of IEEE 176", "not estimated"
+                what, "one Q factor for all compliances; d is real, as in IEEE 176", "not estimated"
             )
         elif tangent := read_loss_tangent(part):
-            what = f"{part.name}: what a lossy dielectric changes of its stiffness"
-            why = "its loss acts on the clamped capacitance"
+            what = f"{part.name}: effect of dielectric loss on its stiffness"
+            why = "dielectric loss acts only on the clamped capacitance"
             yield NeglectedEffect(
-                what, why, f"{tangent:g} of the energy of fields inside at open electrodes"
+                what,
+                why,
+                f"with open electrodes, a loss of {tangent:g} of the electric field energy",
             )
         yield from self.list_neglected_effects(part, scene)
 
@@ -206,12 +209,14 @@ class LinearBody(BodyChecks[LinearKeysT]):
     ) -> Iterator[NeglectedEffect]:
         """Yield free ringing as a neglected effect if the time steps do not resolve it."""
         if self.weights(part, scene) == COARSE_WEIGHTS:
-            why = "solver.ringing lets go of it once nothing presses on the body"
+            why = "solver.ringing: time steps resolve ringing only while a force acts on the body"
             yield NeglectedEffect(
-                f"free ringing of {part.name}", why, "all of its own current and motion"
+                f"free ringing of {part.name}", why, "up to 100 % of the ringing current and motion"
             )
 
-    def prescribed_ports(self, part: Part[LinearKeysT], model: LinearModel) -> Sequence[str]:
+    def prescribed_temperature_ports(
+        self, part: Part[LinearKeysT], model: LinearModel
+    ) -> Sequence[str]:
         """Return the ports with prescribed temperatures; none by default.
 
         The certificate of the model includes the responses to prescribed temperatures.
@@ -221,6 +226,10 @@ class LinearBody(BodyChecks[LinearKeysT]):
     def dimensions(self, part: Part[LinearKeysT]) -> int:
         """Return the number of spatial dimensions of the mesh."""
         return 3
+
+    def estimate_mesh_growth(self, part: Part[LinearKeysT], old: float, new: float) -> float:
+        """Estimate the ratio of the numbers of unknowns for two refinement factors."""
+        return (new / old) ** self.dimensions(part)
 
     def compare_with_finer_mesh(
         self, part: Part[LinearKeysT], build: BuiltScene, clock: StageTimer, most: float
@@ -240,13 +249,15 @@ class LinearBody(BodyChecks[LinearKeysT]):
         if unknowns <= most:
             try:
                 doubled = with_values(part, {key: STATE_FACTOR * _read_count(part, key)})
-                with clock.time_stage("full model", f"{part.name}: mesh half as wide"):
+                with clock.time_stage(
+                    "full model", f"{part.name}: mesh with half the element size"
+                ):
                     finer = self.make_full_model(doubled, build.scene, clock).facts
             except UsageError as error:
                 cause = str(error.message)
         if finer is None:
             mesh = self.describe_discretisation(part, build)
-            yield f"{part.name}: no mesh half as wide ({cause}); {mesh}"
+            yield f"{part.name}: no mesh with half the element size ({cause}); {mesh}"
             return
         for item in MESH_QUANTITIES.values():
             if item.warning_limit is None:
@@ -254,8 +265,12 @@ class LinearBody(BodyChecks[LinearKeysT]):
             names = fnmatch.filter(facts, item.value_names)
             changes = [abs(facts[name] / finer[name] - 1) for name in names if finer.get(name)]
             if changes:
-                name = f"mesh of {part.name} half as wide, {item.description}"
-                yield Check(name, max(changes), item.warning_limit)
+                name = f"mesh of {part.name} with half the element size, {item.description}"
+                label = (
+                    f"mesh of {part.name}: relative error of the {item.description}, versus half "
+                    "the element size"
+                )
+                yield Check(name, max(changes), item.warning_limit, "relative", label=label)
 
     def describe_discretisation(self, part: Part[LinearKeysT], build: BuiltScene) -> str:
         """Return the error estimate of the mesh, or the reason for a missing estimate."""

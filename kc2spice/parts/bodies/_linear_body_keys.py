@@ -20,8 +20,8 @@ class LinearKeys(Section):
     number: PartNumber | None = Field(
         None,
         description=(
-            "Part number, used as the name of the exported library; by default the names of scene "
-            "and part, joined by an underscore"
+            "Part number (text), also the name of the exported library; by default the names of "
+            "scene and part, joined by an underscore"
         ),
     )
     rated_voltage: Voltage | None = Field(

@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from itertools import filterfalse
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 
@@ -37,6 +37,7 @@ from kc2spice.parts.bodies._neglected_effects import (
     make_disc_envelope,
 )
 from kc2spice.parts.bodies._sounding_body import SoundingBody
+from kc2spice.physics.conductors import OPTIONAL_HEAT_PINS
 from kc2spice.rom.linear_model import LinearModel, Port
 from kc2spice.scene.checks import Check, Metric, RunEnergyBalance
 from kc2spice.scene.part_records import NeglectedEffect
@@ -54,19 +55,22 @@ _COARSE_MESH_ADVICE = (
 _UNRESOLVED_ADVICE = "the model is wrong above the limit: lower the frequency, or refine the mesh"
 MAX_DRAWN_MODES = 6  # number of drawn modes, starting from the lowest
 _SINGULARITY_ADVICE = (
-    "look at the VTU file: edges of clamps and corners exceed any limit when refined"
+    "check the stress in the VTU file: at clamp edges and re-entrant corners, the computed stress "
+    "grows without limit as the mesh is refined"
 )
-# For each quantity: word and unit in its metric's name, axis label, and effect above the limit.
+# For each quantity: word and unit in the name of its metric, label of its plot axis, and
+# consequence of exceeding its limit.
 _FIELD_DESCRIPTIONS = {
     "principal_stress": (
-        "stress", "pa", "largest principal stress in MPa", f"it may crack; {_SINGULARITY_ADVICE}",
+        "stress", "pa", "largest principal stress in MPa",
+        f"the material may crack; {_SINGULARITY_ADVICE}",
     ),
     "electric_field": (
-        "field", "v_m", "largest field in kV/mm", "it may break down; lower the drive",
+        "field", "v_m", "largest field in kV/mm", "the material may break down; lower the drive",
     ),
     "opposing_field": (
-        "opposing_field", "v_m", "largest field against the poling in kV/mm",
-        "it may depolarise; drive it along its poling, or less far",
+        "opposing_field", "v_m", "largest field opposite to the poling in kV/mm",
+        "the material may depolarise; drive it in its poling direction, or lower the drive",
     ),
 }  # fmt: skip
 
@@ -193,7 +197,9 @@ class MeshedBody(SoundingBody[FieldKeysT]):
             hertz, columns = compute_lowest_modes(device, MAX_DRAWN_MODES, end)
             if hertz.size:
                 name, title = f"{part.name}_modes", f"Modes of {part.name}"
-                caption = "Modes that its ports excite, electrodes shorted, undamped; colours are "
+                caption = (
+                    "Undamped modes that the ports excite, electrodes shorted; the colours show "
+                )
                 caption += "displacements relative to the largest."
                 panels = tuple(draw_modes(device, hertz, columns))
                 yield Figure(name, title, caption, panels, columns=3)
@@ -205,15 +211,16 @@ class MeshedBody(SoundingBody[FieldKeysT]):
             if not harmonic:
                 yield _plot_extremes(part.name, recovered)
             worst, device = recovered.worst_stress, motion.device
-            summary = f"the instant of the worst stress: {1e-6 * worst.value:.3g} MPa in "
+            kind = "stress closest to its limit" if worst.limit else "largest stress"
+            summary = f"{kind}: {1e-6 * worst.value:.3g} MPa in "
             place = format_quantity(worst.at, "Hz") if harmonic else f"{1e3 * worst.at:.4g} ms"
-            states = {"": (motion.get_sample(worst.sample), f"{place}, {summary}{worst.material}")}
+            states = {"": (motion.get_sample(worst.sample), f"{place}; {summary}{worst.material}")}
             for k, t in enumerate(list_field_instants(part), 1):
                 state = motion.find_nearest_sample(t)
-                states[f"_{k}"] = state, f"{1e3 * t:.4g} ms, as chosen"
+                states[f"_{k}"] = state, f"{1e3 * t:.4g} ms, a time listed in {part.name}.fields"
             for stem, (state, what) in states.items():
                 panel, factor = draw_deformed_body(device, *state)
-                caption = f"At {what}; displacements times {factor:g}."
+                caption = f"At {what}; displacements scaled by {factor:g}."
                 name = f"{part.name}_deformed{stem}"
                 yield Figure(name, f"Deformed {part.name}", caption, (panel,))
                 fields = partial(write_vtu, device=device, z=state[0], voltages=state[1])
@@ -298,8 +305,8 @@ def find_field_problems(
 def check_mesh(part: Part, build: BuiltScene, waves: Waveforms) -> Iterator[Check]:
     """Yield checks of the mesh after a run: error estimates and highest frequency.
 
-    The highest frequency is the end of the frequency range. In a transient, it is the end of the
-    band of the reduced model.
+    The mesh must resolve all frequencies up to the end of the frequency range. In a transient, the
+    mesh must resolve the band of the reduced model.
     """
     certificate = build.model(part, LinearModel).certificate
     highest = 0.0 if certificate is None else certificate.band_hz[1]
@@ -315,12 +322,19 @@ def check_mesh_values(name: str, values: Mapping[str, float], highest: float) ->
     is the highest frequency at which the model is used.
     """
     for words, error, limit in list_limited_errors(values):
-        words = f"mesh of {name}, {words}"
-        yield Check(words, error, limit, "relative, estimated", _COARSE_MESH_ADVICE, "warn")
+        yield Check(
+            f"mesh of {name}, {words}",
+            error,
+            limit,
+            "relative, estimated",
+            _COARSE_MESH_ADVICE,
+            "warn",
+            label=f"mesh error of {name}, {words}",
+        )
     resolved = values.get(MESH_LIMIT_NAME)
     if resolved is not None and highest > resolved:
-        words = f"mesh of {name}, highest frequency"
-        yield Check(words, highest, resolved, "Hz", _UNRESOLVED_ADVICE, "warn")
+        words, label = f"mesh of {name}, highest frequency", f"highest frequency, mesh of {name}"
+        yield Check(words, highest, resolved, "Hz", _UNRESOLVED_ADVICE, "warn", label=label)
 
 
 def list_field_instants(part: Part[FieldKeys]) -> tuple[float, ...]:
@@ -336,6 +350,11 @@ class BondedBody(MeshedBody[FieldKeysT]):
     """
 
     discretisations = ("mesh.refine",)
+    optional_pins: ClassVar[Mapping[str, str]] = {
+        "front_face": "pins.front_face",
+        "back_face": "pins.back_face",
+        **OPTIONAL_HEAT_PINS,
+    }
     structure: Callable[[Any, str], BondedBlocks]
 
     def is_clamped(self, part: Part[FieldKeysT]) -> bool:
@@ -343,11 +362,11 @@ class BondedBody(MeshedBody[FieldKeysT]):
         return False
 
     def make_bonded_blocks(self, part: Part[FieldKeysT]) -> BondedBlocks:
-        """Return the blocks, electrodes, supports and ports of the body."""
+        """Make the bonded blocks of the body, with electrodes, supports and ports."""
         return _build_bonded_blocks(self, part.keys.model_dump_json(exclude={"rom"}), part.name)
 
     def select_used_faces(self, part: Part[FieldKeysT], scene: DeclaredScene) -> BondedBlocks:
-        """Return the bonded blocks with only those radiating faces that the scene uses."""
+        """Select faces that the scene uses; return a body's blocks with only these faces."""
         bonded, named = self.make_bonded_blocks(part), {}
         for name, face in bonded.faces.items():
             if name in part.pins or scene.is_target(part.name, name):
@@ -393,7 +412,7 @@ class BondedBody(MeshedBody[FieldKeysT]):
         body = replace(self.select_used_faces(part, scene), like=self.make_bonded_blocks(like))
         return body.build_fe_model().model
 
-    def material_rating(self, part: Part[FieldKeysT]) -> float | None:
+    def material_voltage_rating(self, part: Part[FieldKeysT]) -> float | None:
         """Return the voltage rating [V] that follows from the material."""
         return self.make_bonded_blocks(part).depoling_voltage
 
@@ -476,5 +495,6 @@ def _plot_extremes(name: str, recovered: RecoveredFields) -> Figure:
             if e.limit and e.value > 0.2 * e.limit:
                 levels[1e-6 * e.limit] = "limit"
         panels.append(Panel("time in ms", label, tuple(curves), levels=tuple(levels.items())))
-    caption = "Largest value in each material at any Gauss point; limits where they are near."
+    caption = "Largest value in each material at any Gauss point; a limit is drawn if a value "
+    caption += "exceeds 20 % of it."
     return Figure(f"{name}_stress", f"Stress and field in {name}", caption, tuple(panels))

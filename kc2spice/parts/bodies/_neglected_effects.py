@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise, starmap
 from typing import TYPE_CHECKING
 
@@ -39,7 +40,7 @@ NOT_ESTIMATED_TEXT = "not estimated"
 
 @dataclass(frozen=True)
 class Envelope:
-    """Outer size, mass and layers of a body, for estimates of neglected effects.
+    """Envelope of a body: its size, mass and layers, to estimate neglected effects.
 
     Attributes
     ----------
@@ -105,11 +106,11 @@ def make_beam_envelope(blocks: Sequence[Block]) -> Envelope:
     return Envelope(air, mass, surface, blocks, length, length * width)
 
 
-def estimate_box_envelope(sides: Sequence[float]) -> Envelope:
-    """Estimate the envelope of a box: its surface area and the mass of moved air.
+def estimate_surface_and_air_mass(sides: Sequence[float]) -> Envelope:
+    """Estimate surface area and entrained air mass of a body from its bounding box.
 
-    ``sides`` contains the side lengths [m] of the box. Two values in ``sides`` are the radius and
-    the height of a cylinder.
+    ``sides`` contains the side lengths [m] of the bounding box. Two values in ``sides`` are the
+    radius and the height of a cylinder.
 
     The mass of the air that the box moves is at most ``8/3 rho a^3``. The length a is the radius of
     a disc that has the area of the box's largest face.
@@ -133,9 +134,7 @@ def estimate_neglected_effects(
     A nonempty text ``support`` describes a mounting, whose compliance is then one of the effects.
     The heat from the losses of a ``heated`` body flows out of its pin ``heat``.
     """
-    yield NeglectedEffect(
-        f"{name}: load of the air", "its mass and its radiation", _describe_air(envelope)
-    )
+    yield _estimate_air_effect(name, envelope)
     if support:
         yield NeglectedEffect(f"{name}: compliance of its mounting", support, NOT_ESTIMATED_TEXT)
     yield from _estimate_glue_effect(name, envelope)
@@ -145,27 +144,35 @@ def estimate_neglected_effects(
     )
     if heated:
         what, why, size = ONE_TEMPERATURE
-        yield NeglectedEffect(f"{name}: {what}", f"{why}, and no constant follows it", size)
+        yield NeglectedEffect(
+            f"{name}: {what}", f"{why}; material constants do not depend on temperature", size
+        )
         return
     kelvin = 1e-3 / (COOLING_COEFFICIENT * envelope.surface)
-    why = "constants of one temperature"
-    size = f"{kelvin:.2g} K for each mW that it dissipates, "
-    size += f"{COOLING_COEFFICIENT:g} W/(m2 K) to still air"
+    why = "material constants at one temperature"
+    size = f"{kelvin:.2g} K per mW dissipated (still air, {COOLING_COEFFICIENT:g} W/(m²·K))"
     yield NeglectedEffect(f"{name}: heating by its own losses", why, size)
 
 
-def _describe_air(envelope: Envelope) -> str:
-    """Describe how the moved air changes the first resonance.
-
-    The added air mass m_a lowers the natural frequency of a body with the mass m by the fraction
-    ``1 - (1 + m_a/m)^-1/2``.
-    """
+def _estimate_air_effect(name: str, envelope: Envelope) -> NeglectedEffect:
+    """Estimate the effect of the neglected load of the air on the first resonance."""
+    effect = partial(NeglectedEffect, f"{name}: load of the air", "no air mass, no radiation")
     if envelope.air is None:
-        return NOT_ESTIMATED_TEXT
+        return effect(NOT_ESTIMATED_TEXT)
+    added = f"{1e6 * envelope.air:.2g} mg of added air mass"
     if envelope.mass is None:
-        return f"at most {1e6 * envelope.air:.2g} mg of air move with it"
-    lower = 1 - (1 + envelope.air / envelope.mass) ** -0.5
-    return f"first resonance at most {100 * lower:.2g} % lower, {1e6 * envelope.air:.2g} mg of air"
+        return effect(f"at most {added}")
+    lower = _compute_frequency_drop(envelope.air / envelope.mass)
+    return effect(f"first resonance at most {100 * lower:.2g} % lower, by {added}", size=lower)
+
+
+def _compute_frequency_drop(added: float) -> float:
+    """Return the relative drop of a natural frequency caused by an added mass.
+
+    The added mass m_a lowers the natural frequency of a body with the mass m by the fraction
+    ``1 - (1 + m_a/m)^-1/2``, where m_a/m is ``added``.
+    """
+    return 1 - (1 + added) ** -0.5
 
 
 def _estimate_glue_effect(name: str, envelope: Envelope) -> Iterator[NeglectedEffect]:
@@ -176,10 +183,12 @@ def _estimate_glue_effect(name: str, envelope: Envelope) -> Iterator[NeglectedEf
     if not joints:
         return
     reach = max(starmap(compute_shear_transfer_length, joints))
-    share = 100 * reach / envelope.length
-    size = f"{1e6 * GLUE_THICKNESS:g} um of epoxy: "
-    size += f"edges of {1e3 * reach:.2g} mm ({share:.2g} %) less coupled"
-    yield NeglectedEffect(f"{name}: glue between layers", "bonded where they touch", size)
+    share = reach / envelope.length
+    size = (
+        f"with {1e6 * GLUE_THICKNESS:g} µm of epoxy, the piezoelectric coupling is weaker within "
+    )
+    size += f"{1e3 * reach:.2g} mm of the edges ({100 * share:.2g} % of the radius or length)"
+    yield NeglectedEffect(f"{name}: glue between layers", "rigid bond", size, size=share)
 
 
 def compute_shear_transfer_length(below: Block, above: Block) -> float:
@@ -209,5 +218,6 @@ def _estimate_electrode_effect(name: str, envelope: Envelope) -> Iterator[Neglec
         return
     thickness, density = SILVER_LAYER
     added = len(active) * thickness * density * envelope.electrode / envelope.mass
-    size = f"{100 * added:.2g} % of its mass at most, for 5 um of silver on both faces"
-    yield NeglectedEffect(what, why, size)
+    lower = _compute_frequency_drop(added)
+    size = f"first resonance at most {100 * lower:.2g} % lower (5 µm of silver on both faces)"
+    yield NeglectedEffect(what, why, size, size=lower)

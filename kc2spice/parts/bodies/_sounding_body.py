@@ -94,21 +94,21 @@ class SoundingBody(LinearBody[FieldKeysT]):
         facing = self.facing_fluids(part, scene)
         return {port for port, item in facing.items() if item.radiation and item.fluid.is_gas}
 
-    def estimate_levels_by_port(
+    def estimate_level_effects_by_port(
         self, part: Part[FieldKeysT], scene: Scene
     ) -> dict[str, FaceLevelEffects]:
-        """Return how assumptions change each face's sound level, keyed by port name."""
+        """Estimate effects of assumptions on each face's sound level, keyed by port."""
         result = {}
         for port, facing in self.facing_fluids(part, scene).items():
-            levels = self._load_or_estimate_levels(part, scene, port, facing)
+            levels = self._load_or_estimate_level_effects(part, scene, port, facing)
             if levels is not None:
                 result[port] = levels
         return result
 
-    def _load_or_estimate_levels(
+    def _load_or_estimate_level_effects(
         self, part: Part[FieldKeysT], scene: Scene, port: str, facing: FluidAtFace
     ) -> FaceLevelEffects | None:
-        """Return how assumptions about a face change the face's sound level.
+        """Load or estimate the effects of assumptions on the sound level of a face.
 
         The result is loaded from the cache, or estimated with the full model.
         """
@@ -138,17 +138,17 @@ class SoundingBody(LinearBody[FieldKeysT]):
         }
 
         def estimate_effects() -> FaceLevelEffects | None:
-            """Build the estimate of how assumptions about a face change its sound level.
+            """Estimate the effects of assumptions about a face on the face's sound level.
 
             The estimate is computed with the full model.
             """
             face = LoadedFace(
                 self.get_fe_model(part, scene), port, facing, joined, load, end, count
             )
-            return self._estimate_levels(part, scene, face)
+            return self._estimate_level_effects(part, scene, face)
 
         def load_or_estimate_effects() -> FaceLevelEffects | None:
-            """Return the effects on the sound level, from the cache or from a new estimate."""
+            """Load the assumptions' effects on the sound level, or estimate the effects."""
             sources = (*LEVEL_SOURCES, "kc2spice.parts.acoustics", "kc2spice.parts.bodies")
             return load_or_build(
                 "face", key, estimate_effects, classes=(FaceLevelEffects,), sources=sources
@@ -158,13 +158,16 @@ class SoundingBody(LinearBody[FieldKeysT]):
             f"{port} of {part.name}", key, load_or_estimate_effects
         )
 
-    def _estimate_levels(
+    def _estimate_level_effects(
         self, part: Part[FieldKeysT], scene: Scene, face: LoadedFace
     ) -> FaceLevelEffects | None:
-        """Estimate how assumptions about a face and its support change its sound level."""
-        from kc2spice.parts.bodies._face_sound_levels import TOLERANCE, estimate_face_levels
+        """Estimate level effects: how model assumptions change the sound level of a face.
 
-        result = estimate_face_levels(face)
+        The assumptions concern the face and its support.
+        """
+        from kc2spice.parts.bodies._face_sound_levels import TOLERANCE, estimate_face_level_effects
+
+        result = estimate_face_level_effects(face)
         if result is not None and self.has_mirror_planes(part):
             # The estimate without a baffle needs the shape of the whole face.
             result = replace(result, size=None, unbaffled=None)
@@ -190,7 +193,7 @@ class SoundingBody(LinearBody[FieldKeysT]):
         result = super().build(part, scene, clock, full)
         facing = {} if full else self.facing_fluids(part, scene)
         if facing:
-            for port, levels in self.estimate_levels_by_port(part, scene).items():
+            for port, levels in self.estimate_level_effects_by_port(part, scene).items():
                 name = f"{part.name}.{port}"
                 text = describe_piston_difference(name, facing[port], levels)
                 if text and not _states_piston_motion(facing[port].names, scene):
@@ -208,7 +211,7 @@ class SoundingBody(LinearBody[FieldKeysT]):
         from kc2spice.parts.bodies._face_sound_levels import list_level_effects
 
         effects: dict[NeglectedEffect, None] = {}
-        for port, levels in self.estimate_levels_by_port(part, scene).items():
+        for port, levels in self.estimate_level_effects_by_port(part, scene).items():
             direct = facing[port].radiation is not None
             rows = list_level_effects(part.name, port, levels, direct=direct)
             effects |= dict.fromkeys(rows)
@@ -217,7 +220,7 @@ class SoundingBody(LinearBody[FieldKeysT]):
     def figures(
         self, part: Part[FieldKeysT], build: BuiltScene, waves: Waveforms
     ) -> Iterator[Figure | FileWriter]:
-        """Return the diagrams of the part, and the writers of its additional output files."""
+        """Return the figures of the part, and the writers of its additional output files."""
         faces = self._plot_face_displacements(part, build, waves)
         return chain(super().figures(part, build, waves), faces)
 
@@ -232,7 +235,7 @@ class SoundingBody(LinearBody[FieldKeysT]):
 
         caption = MEAN_CAPTION
         if "frequency" in waves:
-            for port, levels in self.estimate_levels_by_port(part, build.scene).items():
+            for port, levels in self.estimate_level_effects_by_port(part, build.scene).items():
                 if port in displacements:
                     caption += f" {_describe_peak(port, levels, waves, displacements[port])}"
         yield from plot_displacements(
@@ -262,7 +265,7 @@ class SoundingBody(LinearBody[FieldKeysT]):
         result = super().metrics(part, build, waves)
         if not self.facing_fluids(part, build.scene):
             return result
-        faces = self.estimate_levels_by_port(part, build.scene).values()
+        faces = self.estimate_level_effects_by_port(part, build.scene).values()
         totals = [levels.total_effect for levels in faces if levels.total_effect is not None]
         nodes = [levels.node for levels in faces if levels.node is not None]
         error = {"level_error_db": Metric(max(totals), "dB")} if totals else {}

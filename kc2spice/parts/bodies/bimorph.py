@@ -17,23 +17,25 @@ layers below the middle. The voltage thereby bends the tip up.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from itertools import accumulate, chain, pairwise, product
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field, StringConstraints, model_validator
 
 from kc2spice.bodies.solid_models import Block, BondedBlocks, Box, list_outer_faces
 from kc2spice.core.domains import TRANSLATION
-from kc2spice.core.errors import wrong
+from kc2spice.core.errors import UsageError, wrong
 from kc2spice.core.key_errors import validate_table
 from kc2spice.core.quantities import (
     Count,
     Extent,
     Length,
     Mass,
+    RefinementRule,
     Section,
     Thickness,
     Width,
@@ -41,14 +43,14 @@ from kc2spice.core.quantities import (
 )
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.body_keys import BodyMeshKeys, DampingKeys
-from kc2spice.fem.materials import find_material
+from kc2spice.fem.materials import advise_missing_ceramic_keys, find_material
 from kc2spice.parts.bodies._body_ports import get_wave_name
 from kc2spice.parts.bodies._linear_body_keys import FieldKeys
 from kc2spice.parts.bodies._meshed_bodies import BondedBody
 from kc2spice.scene.checks import Check, RunEnergyBalance
 from kc2spice.scene.part_records import NeglectedEffect
 from kc2spice.scene.parttype import register_part_type
-from kc2spice.scene.scene_classes import BuiltScene, Part, Scene
+from kc2spice.scene.scene_classes import BuiltScene, GovernedScene, Part, Scene
 
 # Numbers of elements along and across the beam if ``mesh.refine`` is 1.
 ELEMENTS_ALONG = 20
@@ -74,6 +76,22 @@ class BimorphLayer(Section):
     thickness: Thickness = Field(gt=0, description="Thickness of this layer of the beam")
 
 
+class BeamMeshKeys(BodyMeshKeys):
+    """Keys of a beam's mesh, which is finer in the plane of the layers than through them."""
+
+    refine: Annotated[Count, RefinementRule(2.0, model=True, mesh=True)] = Field(
+        1,
+        ge=1,
+        le=8,
+        description=(
+            "Refinement factor of the beam's mesh: number of equal parts into which each cell "
+            "edge in the plane of the layers is divided. Through the thickness of each layer, "
+            "the number of cells is half of the refinement factor, rounded up, because one "
+            "quadratic cell can represent bending"
+        ),
+    )
+
+
 class BimorphKeys(FieldKeys):
     """Keys of a layered beam, or of a quarter of a layered plate.
 
@@ -81,11 +99,13 @@ class BimorphKeys(FieldKeys):
     knife edges under both ends), *free*, or *quarter*. A *quarter* is a quarter of a plate that is
     clamped along all edges. The modelled quarter of the plate is clamped at x = 0 and y = 0, and
     its other sides are mirror planes. The value of the pin ``tip`` is the upward displacement of
-    the end face. The value of the pin ``base`` is the upward acceleration of the support. If
-    nothing is joined to ``base``, the netlist instead has a pin ``base`` for the reference of all
-    displacements. ``tip_mass`` is distributed evenly over the end face. ``points`` are additional
-    ports on the centre line of the top face, each stated as a distance from the clamp. For a
-    *quarter*, ``points`` are on the edge that is the centre line of the whole plate.
+    the end face at x = ``length``; a beam that is clamped at this face has no pin ``tip``. The
+    value of the pin ``base`` is the upward acceleration of the support. If nothing is joined to
+    ``base``, the support is at rest. All displacements are relative to the support, whose pin is
+    ``ground``; in the netlist of a beam at rest, this pin has the name ``base``. ``tip_mass`` is
+    distributed evenly over the end face. ``points`` are additional ports on the centre line of the
+    top face, each stated as its distance from the end at x = 0. For a *quarter*, ``points`` are on
+    the edge that is the centre line of the whole plate.
     """
 
     length: Extent = Field(gt=0, description="Free length of the beam, without its clamped ends")
@@ -110,7 +130,8 @@ class BimorphKeys(FieldKeys):
     support: Literal["cantilever", "clamped", "simply_supported", "free", "quarter"] = Field(
         "cantilever",
         description=(
-            "Mechanical support of the beam. With `quarter`, the model is not a beam, but one "
+            "Mechanical support of the beam: `cantilever` is clamped at one end, and `clamped` at "
+            "both ends. With `quarter`, the model is not a beam, but one "
             "quarter of a rectangular plate that is clamped along all edges"
         ),
     )
@@ -120,7 +141,7 @@ class BimorphKeys(FieldKeys):
         default_factory=dict,
         description=(
             "Further ports on the centre line of the top face: the name of each port and its "
-            "distance from the clamp"
+            "distance from the end at x = 0"
         ),
     )
     patches: Count | None = Field(
@@ -142,7 +163,7 @@ class BimorphKeys(FieldKeys):
         ),
     )
     damping: DampingKeys = DampingKeys()
-    mesh: BodyMeshKeys = BodyMeshKeys()
+    mesh: BeamMeshKeys = BeamMeshKeys()
 
     @model_validator(mode="after")
     def _check_consistency(self) -> BimorphKeys:
@@ -172,11 +193,11 @@ class BimorphKeys(FieldKeys):
 def make_bimorph_blocks(
     keys: BimorphKeys | Mapping[str, Any], where: str = "bimorph"
 ) -> BondedBlocks:
-    """Return the bonded layers of a bimorph with electrodes, support, ports, tip mass.
+    """Return a bimorph as bonded blocks, with electrodes, support, ports and tip mass.
 
-    ``mesh.refine`` divides the element size in the plane of the layers. The element size through
-    the thickness is divided by only half of ``mesh.refine``, because a single quadratic element
-    already represents the bending of a plate.
+    ``mesh.refine`` divides the element size in the plane of the layers. Through the thickness, each
+    layer has ``ceil(mesh.refine / 2)`` elements, because a single quadratic element already
+    represents the bending of a plate.
 
     Raises
     ------
@@ -195,7 +216,10 @@ def make_bimorph_blocks(
             "wiring",
             "the key `wiring` needs a piezoelectric layer",
             got=beam.wiring,
-            hint='delete the key `wiring`, or write  material = "PZT-5A"  for a layer',
+            hint=advise_missing_ceramic_keys(
+                {f"layers[{i}].material": layer.material for i, layer in enumerate(beam.layers)}
+            )
+            or 'delete the key `wiring`, or write  material = "PZT-5A"  for a layer',
         )
     length, width, top = beam.length, beam.width, heights[-1]
 
@@ -269,6 +293,11 @@ def make_bimorph_blocks(
     )
 
 
+def _count_cells_through_layer(refine: float) -> int:
+    """Return the number of mesh cells through the thickness of each layer."""
+    return math.ceil(refine / 2)
+
+
 def _make_grid(beam: BimorphKeys, heights: list[float]) -> tuple[np.ndarray, ...]:
     """Return the grid lines of the mesh along, across and through the beam.
 
@@ -282,7 +311,8 @@ def _make_grid(beam: BimorphKeys, heights: list[float]) -> tuple[np.ndarray, ...
         s = s**GRADING_RATIO
     elif beam.support == "clamped":
         s = 0.5 + 0.5 * np.sign(s - 0.5) * (1 - (1 - np.abs(2 * s - 1)) ** GRADING_RATIO)
-    cuts = [np.linspace(*pair, (refine + 1) // 2 + 1)[:-1] for pair in pairwise(heights)]
+    cells = _count_cells_through_layer(refine)
+    cuts = [np.linspace(*pair, cells + 1)[:-1] for pair in pairwise(heights)]
     return (
         np.union1d(beam.length * s, list(beam.points.values())),
         np.linspace(0, beam.width, -(-ELEMENTS_ACROSS * refine // rows) * rows + 1),
@@ -296,12 +326,34 @@ class Bimorph(BondedBody[BimorphKeys]):
     name = "bimorph"
     title = "layered beam that bends (3-D piezoelectric FE, reduced)"
     schema = BimorphKeys
-    source = "FE (piezoelectric, hexahedra)"
+    source = "FE (piezoelectric, 3-D)"
     structure = staticmethod(make_bimorph_blocks)
+    optional_pins: ClassVar[Mapping[str, str]] = {
+        "NAME of a point": "points.NAME",
+        "patch1, patch2, …": "patches",
+        **BondedBody.optional_pins,
+    }
 
     def describe_support(self, part: Part[BimorphKeys]) -> str:
         """Describe how the body is supported, for the list of neglected effects."""
-        return f"support is {part.keys.support}, ideal"
+        return f"ideal support: {part.keys.support.replace('_', ' ')}"
+
+    def problems(self, part: Part[BimorphKeys], scene: GovernedScene) -> Iterator[UsageError]:
+        """Yield an error for each invalid key, and for electrodes without a ceramic."""
+        yield from super().problems(part, scene)
+        layers = {f"layers[{i}].material": x.material for i, x in enumerate(part.keys.layers)}
+        if not part.pins.keys() & {"anode", "cathode"}:
+            return
+        materials = [find_material(item, f"{part.name}.{key}") for key, item in layers.items()]
+        if not any(one.is_piezoelectric for one in materials):
+            yield part.wrong(
+                "layers",
+                "the pins anode and cathode need a piezoelectric layer",
+                got=", ".join(f"layers[{i}] ({one.name})" for i, one in enumerate(materials)),
+                expected='a layer of a piezoelectric material, such as "PZT-5A"',
+                hint=advise_missing_ceramic_keys(layers)
+                or 'write  material = "PZT-5A"  in one of the layers',
+            )
 
     def list_neglected_effects(
         self, part: Part[BimorphKeys], scene: Scene
@@ -310,6 +362,10 @@ class Bimorph(BondedBody[BimorphKeys]):
         yield from super().list_neglected_effects(part, scene)
         what, why = f"{part.name}: large deflection", "linear strains, small rotations"
         yield NeglectedEffect(what, why, "checked after the run")
+
+    def estimate_mesh_growth(self, part: Part[BimorphKeys], old: float, new: float) -> float:
+        """Estimate the ratio of the numbers of unknowns for two values of ``mesh.refine``."""
+        return (new / old) ** 2 * _count_cells_through_layer(new) / _count_cells_through_layer(old)
 
     def has_mirror_planes(self, part: Part[BimorphKeys]) -> bool:
         """Return whether the model is a quarter of a plate, bounded by mirror planes."""
@@ -359,10 +415,13 @@ class Bimorph(BondedBody[BimorphKeys]):
             if keys.support == "simply_supported":
                 size, unit = size / 2, "of half the length"
             limit = MAX_LENGTH_SHARE
-            change = f"about {100 * (largest / size) ** 2 / 3:.2g} % of it is an error of linearity"
+            percent = 100 * (largest / size) ** 2 / 3
+            change = f"about {percent:.2g} % of the deflection is an error of the linear model"
             action = "lower the drive"
         name = f"largest deflection of {part.name}"
-        yield Check(name, largest / size, limit, unit, f"{change}; {action}", "warn")
+        label = f"peak deflection of {part.name} / {unit.removeprefix('of ').removeprefix('the ')}"
+        advice = f"{change}; {action}"
+        yield Check(name, largest / size, limit, unit, advice, "warn", label=label)
 
 
 register_part_type(Bimorph())

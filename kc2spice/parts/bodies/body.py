@@ -29,7 +29,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeAlias
+from typing import Annotated, Any, ClassVar, Literal, TypeAlias
 
 import numpy as np
 from pydantic import Field, StringConstraints, ValidationInfo, model_validator
@@ -57,6 +57,7 @@ from kc2spice.fem.materials import (
     CylindricalAxes,
     ElementAxes,
     Material,
+    advise_missing_ceramic_keys,
     compute_poling_rotation,
     find_material,
 )
@@ -75,7 +76,8 @@ from kc2spice.parts.bodies._mesh_keys import (
     read_groups,
 )
 from kc2spice.parts.bodies._meshed_bodies import MeshedBody
-from kc2spice.parts.bodies._neglected_effects import Envelope, estimate_box_envelope
+from kc2spice.parts.bodies._neglected_effects import Envelope, estimate_surface_and_air_mass
+from kc2spice.physics.conductors import OPTIONAL_HEAT_PINS
 from kc2spice.rom.linear_model import Port
 from kc2spice.scene.part_records import NeglectedEffect
 from kc2spice.scene.parttype import register_part_type
@@ -89,16 +91,16 @@ _CYLINDRICAL_VECTORS = {"radial": (1.0, 0.0, 0.0), "tangential": (0.0, 1.0, 0.0)
 # The kind ``rigid`` is absent, because the domain of its ports depends on the motion of the face.
 _DOMAINS_OF_KINDS = {"mean": TRANSLATION, "base": ACCELERATION, "face": ACOUSTIC}
 _NEEDS_OF_KINDS = {
-    "mean": "needs group or at",
-    "rigid": "needs group",
-    "base": "accepts neither",
-    "face": "needs group",
+    "mean": "needs the key `group` or the key `at`",
+    "rigid": "needs the key `group`",
+    "base": "accepts neither the key `group` nor the key `at`",
+    "face": "needs the key `group`",
 }
 _PLACE_HINTS = {
-    "mean": 'add for example  group = "NAME"  with a group of the mesh, and no at',
-    "rigid": 'add for example  group = "NAME"  with a group of faces, and no at',
-    "base": "delete group and at",
-    "face": 'add for example  group = "NAME"  with a group of faces, and no at',
+    "mean": 'add for example  group = "NAME"  with a group of the mesh, and omit the key `at`',
+    "rigid": 'add for example  group = "NAME"  with a group of faces, and omit the key `at`',
+    "base": "delete the keys `group` and `at`",
+    "face": 'add for example  group = "NAME"  with a group of faces, and omit the key `at`',
 }
 _REFERENCE_NAMES = ("cathode", "gnd", "ground")
 
@@ -126,9 +128,9 @@ class PortKeys(Section):
     distributed over the group. The group of a *mean* port consists of elements, faces, curves or
     points. A port of the kind *rigid* makes a face rigid. The *rigid* port is one motion (``x`` …
     ``rz``) of the face; without ``axis``, all six motions become the ports ``NAME_x`` …
-    ``NAME_rz``. The input of a *base* port is the acceleration of the body's support. A *face* port
-    has the pressure on a group of faces, and the volume that the group displaces. Without a group,
-    the key ``at`` selects the mesh node nearest to a point.
+    ``NAME_rz``. The input of a *base* port is the acceleration of the body's support. The input of
+    a *face* port is the pressure on a group of faces; its output is the volume that the group
+    displaces. Without a group, the key ``at`` selects the mesh node nearest to a point.
     """
 
     name: Name = Field(
@@ -269,7 +271,10 @@ class PolingKeys(Section):
 
 
 class AxesKeys(Section):
-    """Keys of the axes of all tensors of a material; ``poling`` states only one axis."""
+    """Keys of a material's three axes, cartesian or cylindrical, for all its tensors.
+
+    The key ``poling`` states only the third axis.
+    """
 
     z: Vector = Field(
         (0.0, 0.0, 1.0),
@@ -359,7 +364,7 @@ class BodyKeys(MeshKeys):
 
     mesh: Annotated[MeshFile, MESH_FIELD]
     materials: dict[str, str | dict[str, Any]] = Field(
-        examples=['{ GROUP = "steel" }  with a group of the mesh'],
+        examples=['{ GROUP = "steel" }  where GROUP is a group of the mesh'],
         min_length=1,
         description="Material of each mesh group: a name, or a table of constants",
     )
@@ -588,7 +593,8 @@ def _orient_material(plain: Material, keys: BodyKeys, group: str) -> Material:
 
     Raises
     ------
-    UsageError : cylindrical material axes do not have the axis of an axisymmetric mesh.
+    UsageError : the mesh is axisymmetric, but cylindrical material axes have another axis of
+        revolution.
     """
     if group in keys.axes:
         turned = keys.axes[group].rotate_material(plain)
@@ -630,7 +636,9 @@ def _make_boundary_conditions(
     electrodes = {}
     for pin, stated in keys.electrodes.items():
         names = [stated] if isinstance(stated, str) else stated
-        nodes = [_find_electrode_nodes(solid, groups, name, f"electrodes.{pin}") for name in names]
+        nodes = [
+            _find_electrode_nodes(keys, solid, groups, name, f"electrodes.{pin}") for name in names
+        ]
         electrodes[pin] = np.unique(np.concatenate(nodes))
     shapes, faces, base = [], [], []
     for port in keys.ports:
@@ -650,7 +658,9 @@ def _make_boundary_conditions(
         fixed=_find_clamped_components(keys, groups, solid),
         electrodes=electrodes,
         reference=keys.reference_electrode,
-        floating=[_find_electrode_nodes(solid, groups, name, "floating") for name in keys.floating],
+        floating=[
+            _find_electrode_nodes(keys, solid, groups, name, "floating") for name in keys.floating
+        ],
         shapes=shapes,
         faces=faces,
         base=base,
@@ -701,7 +711,7 @@ def _find_facet_nodes(solid: Solid, facets: np.ndarray) -> np.ndarray:
 
 
 def _find_electrode_nodes(
-    solid: Solid, groups: mesh_file.GroupedMesh, name: str, where: str
+    keys: BodyKeys, solid: Solid, groups: mesh_file.GroupedMesh, name: str, where: str
 ) -> np.ndarray:
     """Return the nodes of an electrode, which must touch a piezoelectric material."""
     facets = groups.get_group(name, where, 1).members
@@ -714,7 +724,14 @@ def _find_electrode_nodes(
             "this electrode is on a material that is not piezoelectric",
             got=f"{name} on {', '.join(sorted(made_of))}",
             expected="a face of a piezoelectric group",
-            hint='give the group of this face a piezoelectric material, such as "PZT-5A"',
+            hint=advise_missing_ceramic_keys(
+                {
+                    f"materials.{group}": item
+                    for group, item in keys.materials.items()
+                    if isinstance(item, dict) and "permittivity" in item
+                }
+            )
+            or 'give the group of this face a piezoelectric material, such as "PZT-5A"',
         )
     return _find_facet_nodes(solid, facets)
 
@@ -761,7 +778,7 @@ def _distribute_unit_force(
 
 
 class Body(MeshedBody[BodyKeys]):
-    """Part type ``body``: piezoelectric FE model of the user's mesh, reduced."""
+    """Part type ``body``: reduced piezoelectric finite-element model of a user's mesh."""
 
     name = "body"
     title = "the user's own mesh (piezoelectric FE, reduced)"
@@ -769,6 +786,11 @@ class Body(MeshedBody[BodyKeys]):
     schema = BodyKeys
     source = "FE (piezoelectric, the user's mesh)"
     ports_of_files = True
+    optional_pins: ClassVar[Mapping[str, str]] = {
+        "NAME of an electrode": "electrodes.NAME",
+        "NAME of a port": "ports.NAME",
+        **OPTIONAL_HEAT_PINS,
+    }
 
     def ports(self, part: Part[BodyKeys], scene: DeclaredScene) -> tuple[Port, ...]:
         """Return the ports of the part's model."""
@@ -833,7 +855,7 @@ class Body(MeshedBody[BodyKeys]):
         sides = self.compute_side_lengths(part, scene)
         if part.keys.axisymmetric:
             sides = list(filter(None, sides)) or sides[:2]
-        return estimate_box_envelope(sides)
+        return estimate_surface_and_air_mass(sides)
 
     def dimensions(self, part: Part[BodyKeys]) -> int:
         """Return the number of spatial dimensions of the mesh."""
@@ -842,7 +864,7 @@ class Body(MeshedBody[BodyKeys]):
     def describe_support(self, part: Part[BodyKeys]) -> str:
         """Describe how the body is supported, for the list of neglected effects."""
         groups = [item if isinstance(item, str) else item.group for item in part.keys.fixed]
-        return f"{', '.join(groups)} held ideally" if groups else "nothing holds it"
+        return f"ideal clamp at {', '.join(groups)}" if groups else "free body"
 
     def make_full_model_key(self, part: Part[BodyKeys], scene: GovernedScene) -> dict[str, Any]:
         """Return the cache key of the full model, with hashes of mesh and poling files."""

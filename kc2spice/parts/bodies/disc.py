@@ -18,7 +18,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from itertools import accumulate, chain, pairwise
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
@@ -34,8 +34,9 @@ from kc2spice.core.quantities import (
     Width,
     make_invalid_value_error,
 )
+from kc2spice.core.si_prefix_format import format_quantity
 from kc2spice.fem.body_keys import BodyMeshKeys, DampingKeys
-from kc2spice.fem.materials import find_material
+from kc2spice.fem.materials import advise_missing_ceramic_keys, find_material
 from kc2spice.parts.bodies._linear_body_keys import FieldKeys
 from kc2spice.parts.bodies._meshed_bodies import BondedBody
 from kc2spice.scene.parttype import register_part_type
@@ -90,7 +91,7 @@ class DiscLayer(Section):
     )
     feedback: FeedbackKeys | None = None
     poling: Literal["up", "down"] = Field(
-        "up", description="Poling direction of a ceramic layer of the disc: up or down"
+        "up", description="Poling direction of a ceramic layer of the disc"
     )
     quality: Ratio | None = Field(
         None,
@@ -149,7 +150,13 @@ class DiscKeys(FieldKeys):
         description="Layers of the disc from bottom to top",
         min_length=1,
     )
-    support: Literal["free", "clamped", "simply_supported"] | KnifeEdgeSupport = "free"
+    support: Literal["free", "clamped", "simply_supported"] | KnifeEdgeSupport = Field(
+        "free",
+        description=(
+            "Support of the disc: free, clamped or simply supported at the rim, or a table with "
+            "the key `node` for a knife-edge ring"
+        ),
+    )
     wiring: Literal["parallel", "series"] = Field(
         "parallel", description="Electrical connection of two or more ceramic layers of the disc"
     )
@@ -177,19 +184,19 @@ class DiscKeys(FieldKeys):
             raise make_invalid_value_error(
                 f"support: the nodal circle is outside of the body, whose diameter is {widest:g} m",
                 None,
-                hint=f"lower support.node below {widest:g} m",
+                hint=f"lower the key `support.node` below {widest:g} m",
             )
         if self.centre is not None and self.centre > top * (1 + 1e-9):
             raise make_invalid_value_error(
                 f"centre: the port is wider than the top layer, whose diameter is {top:g} m",
                 None,
-                hint=f"lower centre to at most {top:g} m",
+                hint=f"lower the key `centre` to at most {top:g} m",
             )
         return self
 
 
 def make_disc_blocks(keys: DiscKeys | Mapping[str, Any], where: str = "disc") -> BondedBlocks:
-    """Return the bonded layers of a disc with electrodes, support and ports.
+    """Make the blocks of a disc: bonded layers with electrodes, support and ports.
 
     Raises
     ------
@@ -240,7 +247,10 @@ def _make_blocks(disc: DiscKeys, where: str) -> list[Block]:
             where=f"{where}.layers",
             got=", ".join(f"layers[{i}] ({one.name})" for i, one in enumerate(materials)),
             expected='a layer of a piezoelectric material, such as "PZT-5A"',
-            hint='write  material = "PZT-5A"  in one of the layers',
+            hint=advise_missing_ceramic_keys(
+                {f"layers[{i}].material": layer.material for i, layer in enumerate(disc.layers)}
+            )
+            or 'write  material = "PZT-5A"  in one of the layers',
         )
     for i, (layer, one, span) in enumerate(zip(disc.layers, materials, ends, strict=True)):
         here = f"{where}.layers.{i}"
@@ -250,7 +260,8 @@ def _make_blocks(disc: DiscKeys, where: str) -> list[Block]:
                 "an electrode on a material that is not piezoelectric",
                 got=one.name,
                 expected="a piezoelectric material",
-                hint="delete the key `electrodes` of this layer",
+                hint=advise_missing_ceramic_keys({f"layers[{i}].material": layer.material})
+                or "delete the key `electrodes` of this layer",
             )
         poled = one.rotate_z_axis((0, 0, 1 if layer.poling == "up" else -1))
         quality = layer.quality or one.quality
@@ -290,7 +301,7 @@ def _list_electrodes(disc: DiscKeys, pieces: list[Block], where: str) -> list[li
 def _list_electrode_faces(
     disc: DiscKeys, ceramic: list[int], height: float, below: int, where: str
 ) -> list[Box]:
-    """Return the ceramic faces that form an electrode if no metal layer touches them.
+    """Return the faces of an electrode that is on ceramic and touches no metal layer.
 
     The feedback electrode and its gap are cut out of the electrode.
     """
@@ -339,10 +350,17 @@ class Disc(BondedBody[DiscKeys]):
     schema = DiscKeys
     source = "FE (piezoelectric, axisymmetric)"
     structure = staticmethod(make_disc_blocks)
+    optional_pins: ClassVar[Mapping[str, str]] = {
+        "feedback": "layers.feedback",
+        **BondedBody.optional_pins,
+    }
 
     def describe_support(self, part: Part[DiscKeys]) -> str:
         """Describe how the body is supported, for the list of neglected effects."""
-        return f"support is {part.keys.support}, ideal"
+        support = part.keys.support
+        if isinstance(support, KnifeEdgeSupport):
+            return f"ideal knife edge, diameter {format_quantity(support.node, 'm')}"
+        return f"ideal support: {support.replace('_', ' ')}"
 
     def make_models_on_rings(
         self,

@@ -48,7 +48,7 @@ from kc2spice.bodies.heat_model import (
 )
 from kc2spice.core.domains import THERMAL
 from kc2spice.core.errors import SimulationError, UsageError, name_part_in_errors, unknown, wrong
-from kc2spice.core.figure import Curve, Figure, FileWriter, Panel, scale_time_axis
+from kc2spice.core.figure import Curve, Figure, FileWriter, Panel, choose_time_unit
 from kc2spice.core.mesh_error_descriptions import MESH_LIMIT_NAME
 from kc2spice.core.naming import list_names
 from kc2spice.core.progress import StageTimer
@@ -143,7 +143,7 @@ def assemble_heat_model(keys: HeatBodyKeys, home: Path, where: str = "heat_body"
     ------
     UsageError : a file cannot be read; a group is missing, empty, or of the wrong dimension; an
         element has no material or two materials; a face has two prescribed temperatures; or two
-        materials do not touch at their interface.
+        materials of the key ``interfaces`` do not touch.
     """
     with name_part_in_errors(where):
         if keys.layers:
@@ -346,10 +346,11 @@ dc = "1 W"
     def equilibrium_conditions(
         self, part: Part[HeatBodyKeys], scene: WiredScene
     ) -> EquilibriumConditions:
-        """Return the paths of steady heat flow, which an equilibrium requires.
+        """Return the pin pairs between which the body can conduct a steady heat flow.
 
-        If the body conducts heat to its surroundings, each path leads to the reference pin, such as
-        ``ambient``. Otherwise, a path leads from each further pin to the first pin.
+        If the body conducts heat to its surroundings, each pair consists of a pin and the reference
+        pin, such as ``ambient``. If the body conducts no heat to its surroundings, each pair
+        consists of the first pin and another pin.
         """
         rest = super().equilibrium_conditions(part, scene)
         if part.keys.has_path_to_surroundings:
@@ -360,14 +361,14 @@ dc = "1 W"
     def equilibrium_after_build(
         self, part: Part[HeatBodyKeys], build: BuiltScene
     ) -> EquilibriumConditions:
-        """Return the equilibrium conditions; building the model does not change them."""
+        """Return the equilibrium conditions after the build: unchanged for heat bodies."""
         return build.scene.records[part.name].rest
 
     def get_min_band_end(self, scene: Scene) -> float:
-        """Return the smallest upper limit [Hz] that a default band can have.
+        """Return the lowest frequency [Hz] at which a default band may end.
 
-        The upper limit is :data:`RUN_POINTS` divided by the duration of the run; a heat body has no
-        resonances that could define the band.
+        The default band of a heat body ends at :data:`RUN_POINTS` divided by the duration of the
+        run, or at a higher frequency. A heat body has no resonances that could define the band.
         """
         return RUN_POINTS / scene.stop_time
 
@@ -387,7 +388,7 @@ dc = "1 W"
         return low, high
 
     def model_key(self, part: Part[HeatBodyKeys], scene: Scene) -> Mapping[str, Any]:
-        """Return the cache key of the model, which states whether the band is a default."""
+        """Return the model's cache key, with a flag for a default frequency band."""
         chosen = (
             self._find_reduction_settings(part, scene) is None
             and not scene.analysis.is_small_signal
@@ -440,7 +441,7 @@ dc = "1 W"
         tolerance. If this happens, the tolerance is relative to the largest temperature of each
         pin.
         """
-        prescribed_ports = self.prescribed_ports(part, model)
+        prescribed_temperature_ports = self.prescribed_temperature_ports(part, model)
         tolerance = aims["tolerance"]
 
         def reduce(norm: Norm, share: float) -> LinearModel:
@@ -449,11 +450,15 @@ dc = "1 W"
             The argument ``norm`` defines what the error is relative to.
             """
             changed = {**aims, "norm": norm, "tolerance": tolerance and share * tolerance}
-            return reduce_with_prescribed_temperatures(model, prescribed_ports, **changed)
+            return reduce_with_prescribed_temperatures(
+                model, prescribed_temperature_ports, **changed
+            )
 
         return _reduce_with_peak_fallback(part, aims["norm"], reduce)
 
-    def prescribed_ports(self, part: Part[HeatBodyKeys], model: LinearModel) -> list[str]:
+    def prescribed_temperature_ports(
+        self, part: Part[HeatBodyKeys], model: LinearModel
+    ) -> list[str]:
         """Return the ports with prescribed temperatures: isothermal faces and fluids."""
         known = _list_prescribed_names(part)
         return [*filter(known.__contains__, list_names(model.ports))]
@@ -492,7 +497,7 @@ dc = "1 W"
         return replace(model, facts={**model.facts, **exact})
 
     def vectors(self, part: Part[HeatBodyKeys], build: BuiltScene) -> Mapping[str, PartResult]:
-        """Return the ngspice expression of each port result, keyed by result name.
+        """Return the ngspice vectors: expressions of the port results, keyed by name.
 
         If a port is connected to only one part, the heat flow into the port is also a result.
         """
@@ -570,10 +575,13 @@ dc = "1 W"
                 if flow is None and build.scene.list_joined_pins(part.name, port.terminals[0]):
                     raise wrong(
                         f"{part.name}.fields",
-                        "the key `fields` needs the recorded heat flow into each port of the body",
-                        got=f"port {port.name} without a recorded heat flow",
-                        expected="exactly one part, such as a source or a thermal_resistor, "
-                        "joined to each pin of the body",
+                        "the key `fields` needs the heat flow into each port, but a run records "
+                        "this flow only at pins joined to exactly one part",
+                        got=f"port {port.name}, into which no heat flow is recorded",
+                        expected="each pin of the body joined to exactly one part, such as a "
+                        "source or a thermal_resistor",
+                        hint=f"join only a thermal_resistor of a small resistance to the pin "
+                        f"{port.terminals[0]}, and the other parts to its second pin",
                     )
                 if flow is not None:
                     flows[port.name] = flow
@@ -592,11 +600,13 @@ dc = "1 W"
         yield from super().list_neglected_effects(part, scene)
         what = f"{part.name}: conductivity and specific heat that change with temperature"
         yield NeglectedEffect(
-            what, "constants of one temperature", "silicon loses 33 % up to 400 K"
+            what,
+            "material constants at one temperature",
+            "silicon: conductivity 33 % lower at 400 K than at 300 K",
         )
         if part.keys.layers:
-            what = f"{part.name}: heat that spreads sideways in its layers"
-            why = "heat flows straight down through the area of each layer"
+            what = f"{part.name}: lateral heat spreading in its layers"
+            why = "heat flows perpendicular to the layers, through the area of each layer"
             yield NeglectedEffect(what, why, "lower temperatures than modelled: use a mesh")
 
 
@@ -620,8 +630,9 @@ def _reduce_with_peak_fallback(
         if norm == "peak":
             raise
     warnings.warn(
-        f"{part.name}: rounding errors of small temperatures exceed the tolerance, so the error "
-        f"estimate is relative to the largest temperature of each pin",
+        f"{part.name}: at frequencies with small temperatures, rounding errors exceed the "
+        "tolerance, so the error estimate of each pin is relative to the largest temperature of "
+        "that pin",
         stacklevel=3,
     )
     return reduce("peak", PEAK_TOLERANCE_SHARE)
@@ -633,11 +644,16 @@ def _plot_temperatures(name: str, waves: Waveforms) -> Iterator[Figure]:
     rises = {key: values for key, values in waves.data.items() if key.startswith(prefix)}
     if "time" not in waves or not rises:
         return
-    label, factor = scale_time_axis(waves["time"])
+    label, factor = choose_time_unit(waves["time"])
     x = factor * waves["time"]
     curves = tuple(Curve(key.removeprefix(f"{prefix}."), x, rises[key]) for key in rises)
     panel = Panel(label, "temperature rise in K", curves)
-    yield Figure(f"{name}_temperature", f"Temperatures of {name}", "Rise over ambient.", (panel,))
+    yield Figure(
+        f"{name}_temperature",
+        f"Temperatures of {name}",
+        "Temperature rise above ambient.",
+        (panel,),
+    )
 
 
 def _plot_thermal_impedance(name: str, model: LinearModel) -> Iterator[Figure]:
@@ -659,7 +675,7 @@ def _plot_thermal_impedance(name: str, model: LinearModel) -> Iterator[Figure]:
         rise = settled @ (modes.resistance * modes.share[:, k] ** 2) + modes.direct[k, k]
         curves.append(Curve(port.name, t, rise))
     panel = Panel("time in s", "thermal impedance in K/W", tuple(curves), log_x=True, log_y=True)
-    caption = "Temperature rise of each port after a step of 1 W into it alone."
+    caption = "Temperature rise of each port after a heat step of 1 W into this port alone."
     yield Figure(f"{name}_zth", f"Thermal impedance of {name}", caption, (panel,))
 
 

@@ -32,14 +32,14 @@ from kc2spice.core.quantities import (
     Count,
     Extent,
     Length,
-    Ratio,
+    QFactor,
     Section,
     Thickness,
     Width,
     make_invalid_value_error,
 )
 from kc2spice.fem.body_keys import BodyMeshKeys, DampingKeys
-from kc2spice.fem.materials import find_material
+from kc2spice.fem.materials import advise_missing_ceramic_keys, find_material
 from kc2spice.parts.bodies._linear_body_keys import FieldKeys
 from kc2spice.parts.bodies._meshed_bodies import BondedBody
 from kc2spice.parts.bodies._neglected_effects import NOT_ESTIMATED_TEXT
@@ -57,7 +57,7 @@ class PieceKeys(Section):
         examples=['"steel"'],
         description="Material of this piece of the transducer: a name, or a table of constants",
     )
-    quality: Ratio | None = Field(
+    quality: QFactor | None = Field(
         None,
         gt=0,
         description=(
@@ -100,7 +100,7 @@ class RingStackKeys(PieceKeys):
         """Reject an odd number of rings, and an inner diameter above the outer diameter."""
         if self.count % 2:
             raise make_invalid_value_error(
-                "the number of rings is odd, so that the bolt connects the anode to the cathode",
+                "the number of rings is odd, so the bolt short-circuits anode and cathode",
                 None,
                 hint=f"write count = {self.count + 1}",
             )
@@ -108,7 +108,7 @@ class RingStackKeys(PieceKeys):
             raise make_invalid_value_error(
                 "the inner diameter is not smaller than the outer diameter",
                 None,
-                hint=f"lower inner below {self.outer:g} m, or exchange inner and outer",
+                hint=f"reduce `inner` to less than {self.outer:g} m, or swap `inner` and `outer`",
             )
         return self
 
@@ -263,7 +263,8 @@ def _make_blocks(body: LangevinKeys, where: str) -> list[Block]:
             "the rings are not piezoelectric",
             got=result[0].material.name,
             expected="a piezoelectric material",
-            hint='write  material = "PZT-4"  for the rings',
+            hint=advise_missing_ceramic_keys({"rings.material": rings.material})
+            or 'write  material = "PZT-4"  for the rings',
         )
     height = rings.count * rings.thickness
     thread = height + (bolt.depth or body.front[0].length)
@@ -309,14 +310,14 @@ stop = "100 kHz"
 
     def describe_support(self, part: Part[LangevinKeys]) -> str:
         """Describe how the body is supported, for the list of neglected effects."""
-        return f"support is {part.keys.support}, ideal"
+        return f"ideal support: {part.keys.support.replace('_', ' ')}"
 
     def list_neglected_effects(
         self, part: Part[LangevinKeys], scene: Scene
     ) -> Iterator[NeglectedEffect]:
         """Yield the neglected effects, such as the preload of the bolt."""
         yield from super().list_neglected_effects(part, scene)
-        why = "pieces are bonded and free of stress at rest"
+        why = "the pieces are bonded and free of stress at rest"
         yield NeglectedEffect(
             f"{part.name}: preload of the bolt, compliance of joints", why, NOT_ESTIMATED_TEXT
         )

@@ -1,4 +1,4 @@
-"""The part ``piezo_stack``: a layered piezoelectric chip with contact rings."""
+"""The part ``piezo_stack``: a multilayer piezoelectric chip with contact rings."""
 
 from __future__ import annotations
 
@@ -91,8 +91,10 @@ DRIVER_TYPES = {  # part type of each driver, by its name in the key ``driver``
 MOUNTING_TEXTS = {  # description of each value of the key ``mounting``
     "roller": "frictionless roller under its bottom face",
     "glued": "bottom face glued down, u = 0",
-    "free": "nothing holds its bottom face",
+    "free": "bottom face free",
 }
+# Relative decrease of the stroke of a typical chip whose bottom face is glued instead of sliding.
+GLUED_STROKE_DROP = 0.16
 PAPER_ORDER = 30  # number of unknowns of the reduced model in Schütz et al. (2021)
 # Keys that determine the finite-element model.
 # All other keys, such as ``drive``, only affect the circuit.
@@ -134,7 +136,7 @@ class KickPulse(Section):
             raise make_invalid_value_error(
                 "the pulse has an edge that is longer than its width",
                 None,
-                hint=f"lower edge to {self.width / 10:g} s",
+                hint=f"lower the key `edge` to {self.width / 10:g} s",
             )
         return self
 
@@ -175,8 +177,8 @@ class PiezoStackKeys(StackKeys, FieldKeys):
 
     @model_validator(mode="before")
     @classmethod
-    def _set_drive(cls, data: Any, info: ValidationInfo) -> Any:
-        """Set the default drive pulse if the stack's scene table has no key ``part``.
+    def _set_default_drive(cls, data: Any, info: ValidationInfo) -> Any:
+        """Set the default drive pulse of a stack whose scene table has no key ``part``.
 
         A stack that is not driven gets no pulse. In a scene with a table ``harmonic``, the stack
         gets no pulse, because unit loads drive the stack.
@@ -192,8 +194,8 @@ class PiezoStackKeys(StackKeys, FieldKeys):
         if self.fields and (self.mesh.order != 1 or self.mesh.layers_per_element != 1):
             raise make_invalid_value_error(
                 (
-                    "fields need linear elements of one layer each: mesh.order = 1, "
-                    "mesh.layers_per_element = 1"
+                    "the key `fields` needs first-order elements that each contain one layer: "
+                    "mesh.order = 1, mesh.layers_per_element = 1"
                 ),
                 None,
                 hint="write  mesh = { order = 1, layers_per_element = 1 }",
@@ -208,13 +210,13 @@ class PiezoStackKeys(StackKeys, FieldKeys):
 
 
 class PiezoStack(MeshedBody[PiezoStackKeys]):
-    """Part type ``piezo_stack``: layered piezoelectric chip, a reduced 3-D FE model."""
+    """Part type ``piezo_stack``: multilayer piezoelectric chip, a reduced 3-D FE model."""
 
     name = "piezo_stack"
-    title = "layered piezoelectric chip (3-D FE, reduced)"
+    title = "multilayer piezoelectric chip (3-D FE, reduced)"
     discretisations = ("mesh.refine",)
     schema = PiezoStackKeys
-    source = "FE (piezoelectric, linear)"
+    source = "FE (piezoelectric, 3-D)"
 
     def generate_tables(
         self, part: Part[PiezoStackKeys], data: Mapping[str, object]
@@ -351,7 +353,7 @@ class PiezoStack(MeshedBody[PiezoStackKeys]):
             close *= min(1.0, LOW_KICK_FACTOR if driven else max(speed**8, LOW_KICK_FACTOR))
         if _moves_down_first(part):
             close = min(close, DOWNWARD_RELTOL_FACTOR)
-        what = f"contacts of {part.name}, within which error control decides"
+        what = f"contacts of {part.name}; error control chooses shorter steps"
         chgtol = min(1.0, speed or 1.0)
         yield NumericalRequirements(
             what, MAX_TIME_STEP, overrides_others=True, reltol=close, chgtol=chgtol
@@ -385,11 +387,11 @@ class PiezoStack(MeshedBody[PiezoStackKeys]):
         yield Shape(0.0, -keys.height / 2, keys.side, keys.height, "ceramic", label, keys.layers)
 
     def headline(self, part: Part[PiezoStackKeys]) -> str:
-        """Return the header line of the library, which states how the stack is mounted."""
+        """Return the headline of a library header, which states the stack's mounting."""
         return f"{self.title}; {describe_mounting(part.keys)}"
 
-    def material_rating(self, part: Part[PiezoStackKeys]) -> float:
-        """Return the voltage rating [V]: rated field times layer thickness."""
+    def material_voltage_rating(self, part: Part[PiezoStackKeys]) -> float:
+        """Return the material's voltage rating [V]: rated field times layer thickness."""
         return float(part.keys.rated_field * part.keys.height / part.keys.layers)
 
     def make_full_model_key(
@@ -505,30 +507,33 @@ class PiezoStack(MeshedBody[PiezoStackKeys]):
         keys, rom = part.keys, get_reduction_settings(part, scene)
         pressed = find_pressure_basis(part, scene) is not None
         used, last = count_used_rings(part, scene), keys.mesh.rings
-        ports = "a patch of pressure as port" if pressed else f"{used} rings as ports"
-        detail = f"quarter chip, {keys.layers} layers, {describe_mounting(keys)}, "
-        target = describe_reduction_target(rom)
-        yield f"{detail}reduced to {target}, anode {keys.electrical}, {ports}"
+        ports = "pressure on a patch as port" if pressed else f"{used} rings as ports"
+        yield f"quarter chip, {keys.layers} layers, {describe_mounting(keys)}"
+        yield f"reduced model with {describe_reduction_target(rom)}"
+        yield f"ports: anode {keys.electrical}, {ports}"
         yield from self.list_neglected_effects(part, scene)
         if keys.mounting == "roller":
-            why = "its bottom face slides without friction on a plane"
-            error = f"compare with {part.name}.mounting = 'glued'; the usual chip: stroke -16 %, "
-            yield NeglectedEffect(f"what holds {part.name}", why, error + "first resonance +14 %")
+            why = "the bottom face slides without friction on a plane"
+            error = f'with {part.name}.mounting = "glued": stroke about '
+            error += f"{100 * GLUED_STROKE_DROP:g} % smaller, first resonance about 14 % higher "
+            error += "(computed for a typical chip)"
+            yield NeglectedEffect(f"mounting of {part.name}", why, error, size=GLUED_STROKE_DROP)
         if keys.fields and pressed:
-            why = "its own mesh is too coarse for it; pressure and shear are those of a graded one"
+            why = "mesh of the part too coarse; pressure and shear stress are from a graded mesh"
             yield NeglectedEffect(
-                f"tension around the contact on {part.name}", why, "not estimated"
+                f"tensile stress around the contact on {part.name}", why, "not estimated"
             )
         if (several := keys.mesh.layers_per_element) > 1:
-            why = f"{several} layers share one: mesh.layers_per_element"
-            error = f"{(several / keys.layers) ** 2:.2g} of the first resonances, at most; "
-            error += "stroke and capacitance are those of the layers"
-            yield NeglectedEffect(f"layers of {part.name} within an element", why, error)
+            why = f"{several} layers share one element: mesh.layers_per_element"
+            size = (several / keys.layers) ** 2
+            error = f"first resonances: error at most {100 * size:.2g} %; "
+            error += "stroke and capacitance unchanged"
+            yield NeglectedEffect(
+                f"individual layers of {part.name} in one finite element", why, error, size=size
+            )
         if used <= last and not pressed:
             effect = f"{part.name}: ports at ring{used}" + f" to ring{last}" * (used < last)
-            yield NeglectedEffect(
-                effect, "nothing of the scene needs them", "checked after the run"
-            )
+            yield NeglectedEffect(effect, "no part or probe uses them", "checked after the run")
 
 
 def _estimate_kick_speed(part: Part[PiezoStackKeys], scene: GovernedScene) -> float | None:
@@ -561,10 +566,10 @@ def describe_mounting(keys: StackKeys) -> str:
     if isinstance(keys.mounting, float):
         words = [f"bottom face on springs of {keys.mounting:g} N/m per m2 along each axis"]
     if keys.poling == "x":
-        words.append("poled along x: it shears")
+        words.append("poled along x, shear mode")
     for place, cap in (("below", keys.bottom_cap), ("on top", keys.top_cap)):
         if cap is not None:
-            made_of = cap.material if isinstance(cap.material, str) else "material of its own"
+            made_of = cap.material if isinstance(cap.material, str) else "a user-defined material"
             material_name = "unpoled ceramic" if cap.material is None else made_of
             words.append(f"{1e3 * cap.thickness:g} mm of {material_name} {place}")
     if keys.preload_spring is not None:
@@ -611,7 +616,7 @@ def count_used_rings(part: Part[PiezoStackKeys], scene: JoinedScene) -> int:
 
 
 def list_ring_names(count: int) -> list[str]:
-    """Return the port names of the ``count`` innermost rings of nodes."""
+    """List the names of the ``count`` innermost rings, each of which is a port."""
     return list(map("ring{}".format, range(count)))
 
 

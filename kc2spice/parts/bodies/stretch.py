@@ -120,7 +120,7 @@ def _declare_stretching(count: int, rows: int) -> Declaration:
         return 2 * count + 1 - k if k > count else k
 
     def get_deflection_symbol(i: int, j: int) -> str:
-        """Return the deflection symbol of a patch, or of its mirror patch beyond a clamp."""
+        """Return the deflection symbol of a patch; indices beyond a clamp are mirrored."""
         i, j = mirror_index(i, len(along)), mirror_index(j, rows)
         return f"x{(j - 1) * len(along) + i}"
 
@@ -149,14 +149,14 @@ def _declare_stretching(count: int, rows: int) -> Declaration:
         longer = f"({longer} + ({cx} + {cy})/24*({' + '.join(twists)}))"
     return Declaration(
         "stretch",
-        "stretching of a beam that both ends hold, or of a plate held all round",
+        "mid-plane stretching of a beam clamped at both ends, or of a plate clamped all round",
         StretchKeys,
         tuple(displacement(f"x{k}", f"p{k}", "b", f"force{k}") for k in range(1, count + 1)),
         energy=f"0.5*stiffness*({longer})^2 + tension*{longer}",
         neglected=(
-            ("inertia along the beam", "its tension is the same everywhere", "not estimated"),
-            ("supports that give way", "the ends stay where they are", "not estimated"),
-            ("shear in a plate's plane", "Berger's energy", "up to 12 % of the stretching's"),
+            ("inertia along the beam", "the tension is uniform along the beam", "not estimated"),
+            ("compliance of the supports", "the clamped edges do not move", "not estimated"),
+            ("in-plane shear of a plate", "Berger's energy", "up to 12 % of the stretching force"),
         ),
         example=EXAMPLE_SCENE,
     )

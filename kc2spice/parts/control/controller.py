@@ -162,7 +162,7 @@ wiring = "parallel"
         return MissingEquations("its equations are a Python function")
 
     def vectors(self, part: Part[ControllerKeys], build: BuiltScene) -> Mapping[str, PartResult]:
-        """Return the ngspice expression of each result of the part, keyed by result name."""
+        """Return the ngspice vectors: expressions of the part's results, keyed by name."""
         return {
             f"{part.name}.{name}": build.get_pin_vector(part, name) for name in part.keys.inputs
         }
@@ -170,7 +170,7 @@ wiring = "parallel"
     def settable_quantities(
         self, part: Part[ControllerKeys], build: BuiltScene
     ) -> Mapping[str, SampledSource]:
-        """Return the controller's output as a source that the Python function sets."""
+        """Return the settable quantity ``out``: the source that the user's function sets."""
         keys = part.keys
         sources = {}
         for name in keys.inputs:
@@ -246,7 +246,10 @@ wiring = "parallel"
         """Yield the assumptions of the model and the effects that it neglects."""
         keys = part.keys
         period, delay = format_quantity(keys.period, "s"), format_quantity(keys.delay, "s")
-        yield f"{keys.output} every {period}, held from {delay} later on"
+        yield (
+            f"{keys.output} sampled every {period}; each value takes effect {delay} after its "
+            "sample, and is held until the next value takes effect"
+        )
 
 
 register_part_type(Controller())

@@ -203,7 +203,7 @@ def make_pid_subcircuit(
 
 
 class Pid(PartType[PidKeys]):
-    """Part type ``pid``: PID controller of a sphere's height."""
+    """Part type ``pid``: PID controller of a sphere's height by the current in coils."""
 
     name = "pid"
     title = "PID controller of a sphere's height"
@@ -292,7 +292,7 @@ class Pid(PartType[PidKeys]):
         return (make_pid_subcircuit(header, part.keys, output=local, load=load, name=name),)
 
     def vectors(self, part: Part[PidKeys], build: BuiltScene) -> Mapping[str, PartResult]:
-        """Return the ngspice expression of each result of the part, keyed by result name."""
+        """Return the ngspice vectors: expressions of the part's results, keyed by name."""
         node = "error" if part.keys.form == "ideal" else "e"
         error = PartResult(f"v(x{part.name.lower()}.{node})", 1.0 / SENSOR_GAIN, "m")
         result = {f"{part.name}.error": error}
@@ -325,18 +325,16 @@ class Pid(PartType[PidKeys]):
         if "time" not in waves or ball is None or f"{ball.name}.y" not in waves:
             return {}
         t, y, setpoint = waves["time"], waves[f"{ball.name}.y"], part.keys.setpoint
-        settled = compute_settling_time(t, y, setpoint, sphere.compute_settling_band(part, ball))
         current = waves.data.get(
             f"{get_result_prefix(_find_driven_coils(part, build.scene))}.upper.current"
         )
-        caught = settled is not None and bool(settled <= t[0] + 0.9 * (t[-1] - t[0]))
         return {
-            "settling_time_s": Metric(settled, "s"),
+            "settling_time_s": Metric(sphere.find_settling_time(part, ball, waves), "s"),
             "final_error_m": Metric(float(setpoint - y[-1]), "m"),
             "hold_current_a": Metric(
                 None if current is None else compute_final_mean(t, current), "A"
             ),
-            "caught": Metric(caught),
+            "caught": Metric(sphere.is_caught(part, ball, waves)),
         }
 
     def checks(self, part: Part[PidKeys], build: BuiltScene, waves: Waveforms) -> Iterator[Check]:
@@ -351,7 +349,15 @@ class Pid(PartType[PidKeys]):
         share = float(np.trapezoid(limited.astype(float), t)) / (t[-1] - start)
         advice = "the current limit is lower than the current that the controller requests: raise "
         advice, action = f"{advice}{part.name}.current_limit", build.scene.checks.saturation
-        yield Check("saturation", share, MAX_SATURATED_SHARE, "of the time", advice, action)
+        yield Check(
+            "saturation",
+            share,
+            MAX_SATURATED_SHARE,
+            "of the time",
+            advice,
+            action,
+            label="share of time at current limit",
+        )
 
     def notes(self, part: Part[PidKeys], scene: Scene) -> Iterator[str]:
         """Yield the assumptions of the model and the effects that it neglects."""
@@ -377,22 +383,6 @@ def compute_final_mean(t: np.ndarray, values: np.ndarray) -> float:
     """Return the mean of a waveform over the last twentieth of the run."""
     tail = t >= t[-1] - 0.05 * (t[-1] - t[0])
     return float(np.trapezoid(values[tail], t[tail]) / np.ptp(t[tail]))
-
-
-def compute_settling_time(t: np.ndarray, y: np.ndarray, target: float, band: float) -> float | None:
-    """Return the time [s] from which a signal stays in a band around its target.
-
-    The band is ``target`` ± ``band``. The result is None if the last value of ``y`` is outside the
-    band.
-    """
-    outside = np.abs(y - target) > band
-    if outside[-1]:
-        return None
-    if not outside.any():
-        return float(t[0])
-    k = int(np.flatnonzero(outside)[-1])
-    edge = target + np.copysign(band, y[k] - target)
-    return float(t[k] + (edge - y[k]) / (y[k + 1] - y[k]) * (t[k + 1] - t[k]))
 
 
 register_part_type(Pid())

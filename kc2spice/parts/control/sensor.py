@@ -37,9 +37,8 @@ from kc2spice.scene.scene_classes import (
     Terminal,
 )
 
-VOLTS_PER_METRE = (
-    f"{DISPLACEMENT.pin_value_per_si_unit:g}"  # V/m, voltage at a pin that represents one metre
-)
+# voltage of a displacement pin, divided by the displacement [V/m]
+VOLTS_PER_METRE = f"{DISPLACEMENT.pin_value_per_si_unit:g}"
 
 
 class SensorKeys(Section):
@@ -123,7 +122,7 @@ dc = "1 um"
                 "noise",
                 "the noise of a sensor does not apply to this analysis",
                 got=scene.analysis.type,
-                expected=f"{' or '.join(kinds)}, or none",
+                expected=f"analysis.type {' or '.join(kinds)}, or a sensor without noise",
                 hint="delete the key `noise`",
             )
 
@@ -157,7 +156,7 @@ dc = "1 um"
         )
 
     def settable_quantities(self, part: Part[SensorKeys], build: BuiltScene) -> Mapping[str, float]:
-        """Return the settable initial voltage of the sensor's state: the sphere's height."""
+        """Return the settable quantity: the sensor's voltage for the initial height."""
         start = sphere.find_initial_height(part, "of", build.scene)
         if start is None:
             return {}
@@ -166,7 +165,7 @@ dc = "1 um"
         }
 
     def vectors(self, part: Part[SensorKeys], build: BuiltScene) -> Mapping[str, PartResult]:
-        """Return the ngspice expression of each result of the part, keyed by result name."""
+        """Return the ngspice vectors: expressions of the part's results, keyed by name."""
         return {f"{part.name}.y": build.get_pin_vector(part, "out")}
 
     def law(

@@ -35,9 +35,15 @@ from kc2spice.physics.declaration import Branch, branch
 
 FRONT, REAR = "front", "rear"
 SEMI_INDUCTANCE_KEYS = ("leb", "ke", "rss")
-SIGN_NOTE = "um and N count along plus current; 1 A into a pin pushes it that way with 1 N"
-SOUND_SIGN_NOTE = "; a cone that moves this way presses air out of front and draws it in by rear"
-AIR_NOTE = "part of mms that is the air load of radiation parts"
+SIGN_NOTE = (
+    "um and N are positive in the direction in which a positive coil current drives the cone; "
+    "1 A into a pin is a force of 1 N in this direction"
+)
+SOUND_SIGN_NOTE = (
+    "; a cone that moves in this direction pushes air out of the pin front and draws air in at the "
+    "pin rear"
+)
+AIR_NOTE = "mass of the air load in mms, subtracted because radiation parts model the air load"
 _AMBIENT = "ambient"
 COIL = "coil"  # name of the voice coil's current, which flows from ``plus`` to the node ``eddy``
 _EDDY, _CREEP = "eddy", "creep"  # inner nodes behind the voice coil, and in the suspension
@@ -103,8 +109,9 @@ class SpeakerParameters:
         In this formula, the suspension ``1/(s c(s))`` has the reactance of the compliance ``cms``
         at fs.
         """
-        grown = 1 + self.creep * _CREEP_AT_FS
-        return -grown.imag / grown.real * TWO_PI * self.fs * self.mms
+        relative_compliance = 1 + self.creep * _CREEP_AT_FS
+        ratio = relative_compliance.imag / relative_compliance.real
+        return -ratio * TWO_PI * self.fs * self.mms
 
 
 @dataclass
@@ -190,10 +197,10 @@ def _add_creep(terms: _DeclarationTerms, creep: float, ladder: RelaxationLadder)
     )
     real, imaginary = _CREEP_AT_FS.real, _CREEP_AT_FS.imag
     terms.constants |= {
-        "grown": f"1 + {real!r}*creep",
-        "slipped": f"{imaginary!r}*creep",
-        "c0": "cms*grown/(grown*grown + slipped*slipped)",
-        "r0": "rms + slipped/(grown*omega*cms)",
+        "creep_re": f"1 + {real!r}*creep",
+        "creep_im": f"{imaginary!r}*creep",
+        "c0": "cms*creep_re/(creep_re*creep_re + creep_im*creep_im)",
+        "r0": "rms + creep_im/(creep_re*omega*cms)",
     }
     nodes = [f"{_CREEP}{k}" for k in range(1, len(ladder.corners) + 1)]
     terms.inner += nodes
@@ -264,7 +271,7 @@ def declare_massless_driver(
         },
         conductors=(i,),
         temperature_coefficient=find_resistance_coefficient("copper"),
-        rating="not known; i^2 re heats the coil, and xmax limits the excursion",
+        rating="not known; the power i^2 * re heats the coil, and xmax limits the excursion",
         sign=SIGN_NOTE + SOUND_SIGN_NOTE * bool(sides),
         inner=tuple(more.inner),
         # The sound pressure is computed from the velocity of the cone.

@@ -22,7 +22,7 @@ from kc2spice.core.quantities import (
     si,
 )
 from kc2spice.parts.datasheet._loudspeaker_circuit import compute_baffle_air_mass
-from kc2spice.parts.datasheet._resonator import TWO_PI, NumberedKeys
+from kc2spice.parts.datasheet._resonator import TWO_PI, PartNumberKeys
 from kc2spice.parts.datasheet._stated_values import Relation
 from kc2spice.physics.conductors import ConductorKeys
 
@@ -39,7 +39,7 @@ Compliance = Annotated[float, si("m/N"), UsualRange("m/N", 0.0, 0.1, LARGEST_DRI
 Excursion = Annotated[Length, UsualRange("m", 0.0, 0.2, LARGEST_DRIVER)]
 
 
-class LoudspeakerKeys(ConductorKeys, NumberedKeys):
+class LoudspeakerKeys(ConductorKeys, PartNumberKeys):
     """Data-sheet values that determine a loudspeaker; redundant values must agree.
 
     The relations between these values are ``Bl^2 = 2 pi * fs * mms * re / qes``, ``qms = 2 pi * fs

@@ -28,6 +28,7 @@ from kc2spice.core.domains import HEAT, HEAT_PINS
 from kc2spice.core.figure import Figure
 from kc2spice.core.naming import list_names
 from kc2spice.core.quantities import Section, Voltage
+from kc2spice.core.si_prefix_format import format_quantity
 from kc2spice.core.untrusted_files import make_identifier
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Circuit, Element, Item, Param, Parameters, Pin
@@ -36,7 +37,7 @@ from kc2spice.netlist.scale_factors import abbreviate_number
 from kc2spice.netlist.shared_cards import attach_comments
 from kc2spice.netlist.subcircuit_library import Header, Subcircuit
 from kc2spice.parts.datasheet._stated_values import Relation
-from kc2spice.physics.conductors import HEAT_TERMINALS, is_heated
+from kc2spice.physics.conductors import HEAT_TERMINALS, OPTIONAL_HEAT_PINS, is_heated
 from kc2spice.physics.loss_heat import add_loss_heat, list_heat_vectors
 from kc2spice.scene.part_records import EquilibriumConditions, NeglectedEffect, PartResult
 from kc2spice.scene.scene_classes import (
@@ -61,18 +62,18 @@ from kc2spice.synthesis.heat_sources import (
 TWO_PI = 2 * math.pi
 
 
-class NumberedKeys(Section):
-    """Base class for data-sheet keys, with the key ``number`` for the part number."""
+class PartNumberKeys(Section):
+    """Base class of data-sheet keys with the key ``number``, the part number."""
 
     number: PartNumber | None = Field(
         None,
         description=(
-            "Part number, used as the name of the exported library; by default the part type"
+            "Part number (text), also the name of the exported library; by default the part type"
         ),
     )
 
 
-class RatedKeys(NumberedKeys):
+class RatedKeys(PartNumberKeys):
     """Base class for the keys of electrical parts with a rated voltage."""
 
     rated_voltage: Voltage | None = Field(
@@ -166,8 +167,8 @@ class ResonatorNetlist:
     modes: tuple[str, ...]
 
 
-class NumberedPart(PartType[KeysT]):
-    """Base class of parts whose library is named after the part number."""
+class PartWithPartNumber(PartType[KeysT]):
+    """Base class of parts whose subcircuit is named after their part number."""
 
     def subcircuit_name(self, part: Part[KeysT], scene: Scene) -> str:
         """Return the name of the subcircuit, which is the part number if there is one."""
@@ -178,11 +179,12 @@ class NumberedPart(PartType[KeysT]):
         return f"heated_{result}" if is_heated(part, scene) else result
 
 
-class ResonatorPart(NumberedPart[KeysT]):
+class ResonatorPart(PartWithPartNumber[KeysT]):
     """Base class of parts with a Butterworth-Van Dyke circuit between two pins."""
 
     source = "data sheet"
     noise = ("Rm*",)
+    optional_pins: ClassVar[Mapping[str, str]] = OPTIONAL_HEAT_PINS
     ends: ClassVar[tuple[str, str]] = ("anode", "cathode")
     rating = "not known; the current through rm heats the part"
 
@@ -195,14 +197,14 @@ class ResonatorPart(NumberedPart[KeysT]):
 
     @abstractmethod
     def make_resonator_netlist(self, part: Part[KeysT], circuit: Resonator) -> ResonatorNetlist:
-        """Return the netlist parameters, and the expressions of the circuit elements."""
+        """Make the resonator netlist: parameters, and expressions of the elements."""
 
     def shared_data(self, part: Part[KeysT], scene: GovernedScene) -> Resonator:
         """Return the circuit elements of the resonator, for use by other parts."""
         return self.resonator(part)
 
     def circuit(self, part: Part[KeysT], scene: GovernedScene) -> Resonator:
-        """Return the resonator circuit, from the record of the scene if available."""
+        """Return the resonator circuit that the scene stores, or compute the circuit."""
         record = scene.get_record(part)
         if record is None or not isinstance(record.shared_data, Resonator):
             return self.resonator(part)
@@ -220,9 +222,10 @@ class ResonatorPart(NumberedPart[KeysT]):
         )
 
     def equilibrium_conditions(self, part: Part[KeysT], scene: WiredScene) -> EquilibriumConditions:
-        """Return the paths of steady flow, which an equilibrium requires.
+        """Return the pin pairs between which the part can transmit a constant force.
 
-        Paths to the pin ``heat`` are removed.
+        Pairs with the pin ``heat`` are removed, because the part does not connect ``heat`` to
+        ground.
         """
         paths = super().equilibrium_conditions(part, scene).paths
         return EquilibriumConditions(tuple(path for path in paths if HEAT not in path))
@@ -261,7 +264,7 @@ class ResonatorPart(NumberedPart[KeysT]):
     # --- results ----------------------------------------------------------------------------------
 
     def vectors(self, part: Part[KeysT], build: BuiltScene) -> Mapping[str, PartResult]:
-        """Return the ngspice expression of each result of the part, keyed by result name."""
+        """Return the ngspice vectors: expressions of the part's results, keyed by name."""
         result, (plus, minus) = {}, self.ends
         nets = (
             (sign, build.get_net(part, end)) for sign, end in zip(("", "-"), self.ends, strict=True)
@@ -315,25 +318,28 @@ class ResonatorPart(NumberedPart[KeysT]):
         response = compute_impedance(part, waves)
         if response is not None:
             frequency, z = response
-            how = f"as the circuit shows it at {part.name}{IMPEDANCE_CAPTION}"
+            how = f"of the impedance at the pins of {part.name}{IMPEDANCE_CAPTION}"
             yield plot_impedances(part.name, frequency, {"": z}, how)
 
     def notes(self, part: Part[KeysT], scene: Scene) -> Iterator[str | NeglectedEffect]:
         """Yield the assumptions of the model and the effects that it neglects."""
         circuit = self.circuit(part, scene)
-        yield f"c0 = {circuit.c0:.4g} F"
+        yield f"c0 {format_quantity(circuit.c0, 'F')}"
         for n, fs in enumerate(circuit.fs):
             yield (
-                f"mode {n + 1}: fs {fs:.6g} Hz, fp {circuit.fp[n]:.6g} Hz, Q "
-                f"{circuit.compute_q_factor(n):.4g}, coupling {circuit.compute_coupling(n):.4g}, "
-                f"rm {circuit.rm[n]:.4g} Ohm"
+                f"mode {n + 1}: fs {format_quantity(fs, 'Hz', 6)}, "
+                f"fp {format_quantity(circuit.fp[n], 'Hz', 6)}, "
+                f"Q {circuit.compute_q_factor(n):.4g}, coupling {circuit.compute_coupling(n):.4g}, "
+                f"rm {format_quantity(circuit.rm[n], 'Ohm')}"
             )
         yield NeglectedEffect("further modes", "the data sheet states none", "not estimated")
         yield NeglectedEffect(
-            "dielectric loss", "c0 is an ideal capacitance", "tan delta of its admittance"
+            "dielectric loss",
+            "c0 is an ideal capacitance",
+            "tan delta, relative to the admittance of c0",
         )
         yield NeglectedEffect(
-            "nonlinearity and temperature", "the circuit is that of small signals", "not estimated"
+            "nonlinearity and temperature", "small-signal model at one temperature", "not estimated"
         )
 
 

@@ -249,7 +249,7 @@ stop = "10 kHz"
         return most
 
     def _require_tolerance_values(self, part: Part[BvdKeys]) -> None:
-        """Reject the tolerance of a value that the data sheet does not state."""
+        """Require a stated value for each tolerance; reject a tolerance without a value."""
         for name in part.keys.tolerance:
             if not (name in VALUE_UNITS_OF_SHEET and getattr(part.keys, name)):
                 values = [key for key in VALUE_UNITS_OF_SHEET if getattr(part.keys, key)]
@@ -322,10 +322,13 @@ def _find_impossible_pairs(part: Part[BvdKeys], start: np.ndarray) -> Iterator[U
         if zs >= reactance:
             yield part.wrong(
                 "zs",
-                "the impedance at the series resonance exceeds the impedance of the capacitance",
-                got=f"zs = {zs:g} Ohm, the capacitance has {reactance:.4g} Ohm",
-                expected=f"less than {reactance:.4g} Ohm",
-                hint="check zs, the capacitance and their units",
+                (
+                    "the impedance at the series resonance exceeds the reactance of the clamped "
+                    "capacitance"
+                ),
+                got=f"zs = {zs:g} Ohm",
+                expected=f"less than {reactance:.4g} Ohm, the reactance of the clamped capacitance",
+                hint="check the values and units of zs and of the capacitance",
             )
 
 
@@ -383,7 +386,7 @@ def _choose_capacitance_key(keys: BvdKeys, modes: int) -> str:
 
 
 def _choose_loss_key(keys: BvdKeys, modes: int) -> str:
-    """Choose the netlist parameter that determines the motional resistances."""
+    """Choose the loss key that determines the motional resistances, such as ``qm``."""
     if keys.qm or keys.rm:
         return "rm" if keys.rm else "qm"
     return "zs" if modes == 1 else "rm"

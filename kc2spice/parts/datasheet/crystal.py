@@ -88,7 +88,7 @@ class Crystal(ResonatorPart[CrystalKeys]):
     title = "quartz crystal or tuning fork from its data sheet"
     schema = CrystalKeys
     ends = ("a", "b")
-    rating = "not known; the power i^2 r1 is the drive level of the data sheet"
+    rating = "not known; compare the power i^2 * r1 with the drive level in the data sheet"
     example = """
 [crystal]
 part = "crystal"
@@ -133,7 +133,7 @@ scale = "linear"
         """Return the netlist parameters, and the equations of the circuit elements."""
         keys = part.keys
         loaded = "" if keys.cl is None else "(c0+cl)"
-        words = "frequency with the load cl" if loaded else "series resonance"
+        words = "frequency with the load capacitance cl" if loaded else "series resonance"
         f = round_to_digits(_compute_loaded_frequency(circuit, keys.cl))
         params = [
             make_positive_parameter(

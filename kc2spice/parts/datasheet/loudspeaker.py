@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -46,7 +46,7 @@ from kc2spice.parts.datasheet._loudspeaker_keys import (
 )
 from kc2spice.parts.datasheet._resonator import (
     TWO_PI,
-    NumberedPart,
+    PartWithPartNumber,
     write_tolerance_note,
 )
 from kc2spice.parts.datasheet._stated_values import StatedValues
@@ -74,8 +74,8 @@ RADIATION = "radiation"  # part type that models the mass of the air at the cone
 INDUCTANCE_TIME = 1e-6
 
 
-def _list_joined_sides(part: Part, scene: DeclaredScene) -> tuple[str, ...]:
-    """Return the acoustic pins of the loudspeaker that the scene connects."""
+def _list_connected_sides(part: Part, scene: DeclaredScene) -> tuple[str, ...]:
+    """List the connected sides of the loudspeaker: ``front``, ``rear``, both or none."""
     return tuple(
         side for side in (FRONT, REAR) if side in part.pins or scene.is_target(part.name, side)
     )
@@ -140,7 +140,7 @@ def _require_area_and_mass(part: Part[LoudspeakerKeys], driver: SpeakerParameter
         )
 
 
-class Loudspeaker(NumberedPart[LoudspeakerKeys], DeclaredPartWithMass[LoudspeakerKeys]):
+class Loudspeaker(PartWithPartNumber[LoudspeakerKeys], DeclaredPartWithMass[LoudspeakerKeys]):
     """Part type ``loudspeaker``: loudspeaker from its Thiele-Small parameters."""
 
     name, title = "loudspeaker", "loudspeaker from its Thiele-Small parameters"
@@ -148,6 +148,11 @@ class Loudspeaker(NumberedPart[LoudspeakerKeys], DeclaredPartWithMass[Loudspeake
     source = "data sheet"
     noise = ("Rnoise",)
     moving_pins = ("cone", "frame")
+    optional_pins: ClassVar[Mapping[str, str]] = {
+        FRONT: f"pins.{FRONT}",
+        REAR: f"pins.{REAR}",
+        "ambient": f"pins.{FRONT} or pins.{REAR}",
+    }
     example = """
 [loudspeaker]
 part = "loudspeaker"
@@ -229,7 +234,7 @@ stop = "1 kHz"
     def _find_parameters(
         self, part: Part[LoudspeakerKeys], scene: GovernedScene
     ) -> SpeakerParameters:
-        """Return the driver parameters, from the record of the scene if available."""
+        """Return the driver parameters that the scene stores, or compute the parameters."""
         record = scene.get_record(part)
         if record is None or not isinstance(record.shared_data, SpeakerParameters):
             return self.solve_parameters(part)
@@ -247,7 +252,7 @@ stop = "1 kHz"
             params.append(
                 make_positive_parameter("le", driver.le, "H", "inductance of the voice coil")
             )
-        sides = _list_joined_sides(part, scene)
+        sides = _list_connected_sides(part, scene)
         if sides:
             _require_area_and_mass(part, driver)
         return declare_massless_driver(tuple(params), driver, sides)
@@ -268,7 +273,7 @@ stop = "1 kHz"
         driver = self._find_parameters(part, scene)
         sides = [
             side
-            for side in _list_joined_sides(part, scene)
+            for side in _list_connected_sides(part, scene)
             if RADIATION in scene.list_joined_types(part.name, side)
         ]
         air = 0.0 if driver.sd is None else len(sides) * compute_baffle_air_mass(driver.sd)
@@ -277,17 +282,16 @@ stop = "1 kHz"
     def equilibrium_conditions(
         self, part: Part[LoudspeakerKeys], scene: WiredScene
     ) -> EquilibriumConditions:
-        """Return the path of a constant force, which an equilibrium of the cone requires.
+        """Return the pins between which the suspension transmits a constant force.
 
-        The path leads from ``cone`` to ``frame``. As the cone has a mass, its velocity cannot jump.
+        These pins are ``cone`` and ``frame``. As the cone has a mass, its velocity cannot jump.
         """
         return EquilibriumConditions((self.moving_pins,), inertial_pins=self.moving_pins[:1])
 
     def vectors(self, part: Part[LoudspeakerKeys], build: BuiltScene) -> Mapping[str, PartResult]:
-        """Return the ngspice expression of each result of the part, keyed by result name.
+        """Return the ngspice vectors: expressions of the part's results, keyed by name.
 
-        The results are the results of the declaration, and the current and voltage of the voice
-        coil.
+        The current and voltage of the voice coil are added to the results of the declaration.
         """
         result, n = dict(super().vectors(part, build)), part.name
         if f"{n}.{COIL}" in result:
@@ -314,7 +318,8 @@ stop = "1 kHz"
         if limit is not None and x is not None:
             advice = "beyond xmax, force factor and compliance change: lower the drive"
             largest = float(np.abs(x).max())
-            yield Check(f"excursion of {part.name}", largest, limit, "m", advice, "warn")
+            name, label = f"excursion of {part.name}", f"peak |excursion| of {part.name}"
+            yield Check(name, largest, limit, "m", advice, "warn", label=label)
 
     def _compute_impedances(
         self, part: Part[LoudspeakerKeys], waves: Waveforms
@@ -352,7 +357,7 @@ stop = "1 kHz"
         """Yield the figures of the part for the report."""
         result = self._compute_impedances(part, waves)
         if result is not None:
-            how = f"as the circuit shows it at {part.name}: maximum at resonance."
+            how = f"of the impedance at the pins of {part.name}: maximum at resonance."
             from kc2spice.parts.bodies._body_figures import plot_impedances
 
             yield plot_impedances(part.name, result[0], {"": result[1]}, how)
@@ -376,25 +381,27 @@ stop = "1 kHz"
         for side in (FRONT, REAR):
             if side not in sides:
                 yield NeglectedEffect(
-                    f"radiation at the {side}", f"mms includes {load} of air there", "resistance"
+                    f"radiation at the {side}",
+                    f"mms includes an air load of {load} at the {side}",
+                    "radiation resistance not estimated",
                 )
             elif RADIATION in scene.list_joined_types(part.name, side):
-                yield f"{load} of mms, the air at the {side}, are replaced by the radiation part"
+                yield f"the radiation part models the air load at the {side}, {load} of mms"
             else:
-                yield f"{load} of mms are the air at the {side}, as in a baffle"
+                yield f"mms includes the air load at the {side}: {load}, as for a baffled piston"
 
     def notes(self, part: Part[LoudspeakerKeys], scene: Scene) -> Iterator[str | NeglectedEffect]:
         """Yield the assumptions of the model and the effects that it neglects."""
         driver = self._find_parameters(part, scene)
         peak = driver.re * (1 + driver.qms / driver.qes)
-        yield f"fs {driver.fs:.4g} Hz, Qts {driver.qts:.4g}, impedance at fs {peak:.4g} Ohm"
+        yield f"fs {driver.fs:.4g} Hz, Qts {driver.qts:.4g}, impedance at fs {peak:.4g} Ω"
         yield NeglectedEffect(
-            "large strokes", "Bl and compliance are constant", "see part voice_coil"
+            "large excursions", "Bl and compliance are constant", "see part voice_coil"
         )
-        sides = _list_joined_sides(part, scene)
+        sides = _list_connected_sides(part, scene)
         if not sides:
             yield NeglectedEffect(
-                "radiation", "mms includes the mass of the air", "resistance not estimated"
+                "radiation", "mms includes the air load", "radiation resistance not estimated"
             )
         elif driver.sd is not None:
             yield from self._describe_air(part, scene, driver.sd, sides)

@@ -11,13 +11,14 @@ from pydantic import Field
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import CoilInductance, Ratio, Resistance, Section, Time, Voltage
+from kc2spice.core.si_prefix_format import format_quantity
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.thermal_materials import find_resistance_coefficient
 from kc2spice.netlist.circuit import Param, make_positive_parameter
 from kc2spice.netlist.number_and_name_spelling import round_to_digits
 from kc2spice.parts.datasheet._resonator import (
-    NumberedKeys,
-    NumberedPart,
+    PartNumberKeys,
+    PartWithPartNumber,
     write_tolerance_note,
 )
 from kc2spice.physics import Declaration, DeclaredPart, current, voltage
@@ -42,7 +43,7 @@ HALF_WAY_TIME = math.log(2)
 CONTACT_POSITION = 0.5  # position of the armature, from 0 to 1, at which the contacts switch
 
 
-class RelayKeys(ConductorKeys, NumberedKeys):
+class RelayKeys(ConductorKeys, PartNumberKeys):
     """Keys of a relay from its data sheet.
 
     The armature pulls in when the product of current and coil resistance exceeds ``pick_up``. The
@@ -139,8 +140,8 @@ def solve_timing(part: Part[RelayKeys]) -> RelayTiming:
             "operate_time contradicts inductance",
             got=f"operate_time = {keys.operate_time:g} s and inductance = {keys.inductance:g} H",
             expected=(
-                f"an operate time above {electrical:.4g} s, the rise time of the current, or an "
-                f"inductance below {most:.4g} H"
+                f"an inductance below {most:.4g} H, or an operate time above the rise time of the "
+                f"current, which is {electrical:.4g} s"
             ),
             hint="correct or delete one of the two values",
         )
@@ -201,7 +202,7 @@ def declare_relay(params: tuple[Param, ...], changeover: bool) -> Declaration:
     )
 
 
-class Relay(NumberedPart[RelayKeys], DeclaredPart[RelayKeys]):
+class Relay(PartWithPartNumber[RelayKeys], DeclaredPart[RelayKeys]):
     """Part type ``relay``: relay with one contact, modelled from its data sheet."""
 
     name, title = "relay", "relay with one contact from its data sheet"
@@ -289,7 +290,7 @@ pins = { a = "relay.com", b = "gnd" }
         return tuple(replace(p, required=False) if p.name in ("no", "nc") else p for p in pins)
 
     def numerics(self, part: Part[RelayKeys], scene: WiredScene) -> Iterator[NumericalRequirements]:
-        """Yield requirements on the time step, to resolve the motion of the armature.
+        """Yield numerical requirements: time steps that resolve the armature's motion.
 
         If the equations of the relay are nonlinear, the analyses ``dc`` and ``op`` also require a
         smaller Newton tolerance.
@@ -329,16 +330,21 @@ pins = { a = "relay.com", b = "gnd" }
         keys, times = part.keys, solve_timing(part)
         yield (
             f"operates at {keys.pick_up:g} V, releases at {keys.release:g} V, coil "
-            f"{keys.resistance:g} Ohm and {times.inductance:.3g} H"
+            f"{format_quantity(keys.resistance, 'Ohm')} and "
+            f"{format_quantity(times.inductance, 'H', 3)}"
         )
         if keys.inductance is None:
             share = f"{100 * CURRENT_RISE_SHARE:g} % of the operate time"
             yield NeglectedEffect(
-                "share of the armature in the operate time", share, "not estimated"
+                "contribution of the armature motion to the operate time",
+                f"the rise of the coil current is assumed to take {share}",
+                "not estimated",
             )
-        yield NeglectedEffect("bounce of contacts", "they switch once", "a few milliseconds")
+        yield NeglectedEffect("contact bounce", "each contact switches once", "a few milliseconds")
         yield NeglectedEffect(
-            "inductance that depends on the armature", "one value", "the dip of the coil's current"
+            "change of the coil inductance with the armature position",
+            "constant inductance",
+            "no dip of the coil current when the armature moves",
         )
         yield NeglectedEffect("arcs", "contacts are resistances", "not estimated")
         yield from self.list_neglected_effects(part, scene)

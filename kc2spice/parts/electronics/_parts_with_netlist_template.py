@@ -159,7 +159,7 @@ def make_opamp_subcircuit(
     """
     pins = [Terminal(pin, "V", "A") for pin in ("inp", "inn", "out", "vcc", "vee", "ref")]
     params = (
-        make_positive_parameter("a0", STATIC_GAIN, "-", "gain at rest"),
+        make_positive_parameter("a0", STATIC_GAIN, "-", "open-loop DC gain"),
         make_positive_parameter("gbw", GAIN_BANDWIDTH, "Hz", "gain-bandwidth product"),
         make_positive_parameter("rout", OUTPUT_RESISTANCE, "Ohm", "output resistance"),
         Param("offset", 0.0, "V", "input offset"),
@@ -171,7 +171,7 @@ def make_opamp_subcircuit(
             "opamp", header, "opamp", title, pins, (*params, stiff), rating=rating
         )
     limits = (
-        make_positive_parameter("slew", 1e9, "V/s", "fastest change of the output"),
+        make_positive_parameter("slew", 1e9, "V/s", "slew rate of the output"),
         make_positive_parameter("current_limit", 1.0, "A", "largest output current"),
     )
     title += " with slew rate and current limit"
@@ -246,8 +246,8 @@ class Driver(TemplatePart[KeysT]):
     fixed = make_driver_pins("out")
     validity = "27 C (transistors: .options temp); no heating, ageing or failure"
     rating = (
-        "voltage and current stay within its parameters; compare rms current and power with the "
-        "data sheet of your devices"
+        "its parameters limit voltage and current; compare rms current and power with the data "
+        "sheet of your devices"
     )
 
     @abstractmethod
@@ -276,7 +276,7 @@ class Driver(TemplatePart[KeysT]):
         )
 
     def vectors(self, part: Part[KeysT], build: BuiltScene) -> Mapping[str, PartResult]:
-        """Return the ngspice expression of each result of the part, keyed by result name.
+        """Return the ngspice vectors: expressions of the part's results, keyed by name.
 
         In an ac analysis, ngspice has no complex current of a resistor. The current is therefore
         the voltage across ``Rout``, divided by its resistance, except in transients.
@@ -380,7 +380,8 @@ class Driver(TemplatePart[KeysT]):
         )
         action = build.scene.checks.saturation
         limit = self.get_permitted_clipping(part, build)
-        yield Check(f"clipping of {part.name}", share, limit, unit, advice, action)
+        name, label = f"clipping of {part.name}", f"share of time clipped, {part.name}"
+        yield Check(name, share, limit, unit, advice, action, label=label)
 
     def get_permitted_clipping(self, part: Part[KeysT], build: BuiltScene) -> float:
         """Return the largest permitted fraction of the run during which the output clips."""
@@ -413,7 +414,7 @@ class Driver(TemplatePart[KeysT]):
         reserve = max(limits["current_limit"] - abs(current), 0.0)
         volts = self.compute_inner_voltage(part, waves, OUTPUT_RESISTANCE)
         frequency = waves["frequency"].real
-        nearest = f"the rail of {rail} next to the operating point of {bias}"
+        nearest = f"the supply rail at {rail}, nearest to the operating point of {bias}"
         rows = (
             ("voltage", volts, distance, "V", nearest, self.rail_keys[side]),
             ("current", waves[f"{n}.i"], reserve, "A", "the current limit", "current_limit"),
@@ -469,7 +470,7 @@ class CoilDriver(Driver[KeysT]):
     def template_values(
         self, part: Part[KeysT], build: BuiltScene
     ) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
-        """Return netlist parameters and template values that suit the connected coils."""
+        """Return parameters and template values for the coils that the driver feeds."""
         return self.adapt_to_load(part.keys, self.compute_coil_load(part, build))
 
     @abstractmethod
@@ -534,4 +535,12 @@ def make_rails_check(
     The voltage may exceed the rails ``low`` and ``high`` by ``slack`` [V].
     """
     beyond = max(0.0, float(np.maximum(volts - high, low - volts).max()))
-    return Check(f"{name} within its rails", beyond, slack, "V beyond", advice, wiring=True)
+    return Check(
+        f"{name} within its rails",
+        beyond,
+        slack,
+        "V beyond",
+        advice,
+        wiring=True,
+        label=f"{name}, voltage beyond its rails",
+    )

@@ -58,9 +58,9 @@ class Diode(TemplatePart[DiodeKeys]):
     title = heading = "junction diode"
     schema = DiodeKeys
     template = "diode"
-    noise = "shot noise, thermal noise in series at 27 C"
-    rating = "it breaks through at bv; its largest current is in the diode's data sheet"
-    validity = "27 C, or the temperature of .options temp; no heating"
+    noise = "shot noise of the junction, thermal noise of the series resistance at 27 C"
+    rating = "it breaks down at bv; the data sheet of the diode states its maximum current"
+    validity = "27 C, or the temperature in .options temp; no self-heating"
     fixed = tuple(Terminal(pin, "V", "A", required=True) for pin in ("anode", "cathode"))
 
     def template_values(
@@ -87,24 +87,24 @@ class Diode(TemplatePart[DiodeKeys]):
         return laws.Equations((junction,), ends, results)
 
     def vectors(self, part: Part[DiodeKeys], build: BuiltScene) -> Mapping[str, PartResult]:
-        """Return the ngspice expression of each result of the part, keyed by result name."""
+        """Return the ngspice vectors: expressions of the part's results, keyed by name."""
         read, ends = f"@d.x{part.name.lower()}.djunction[id]", (("cathode",), ("anode",))
         return {f"{part.name}.i": PartResult(read, 1.0, "A", *ends)}
 
     def numerics(self, part: Part[DiodeKeys], scene: WiredScene) -> Iterator[NumericalRequirements]:
-        """Yield a requirement on the Newton tolerance in analyses other than transients.
+        """Yield a numerical requirement: a small Newton tolerance, except in transients.
 
         Newton's method needs a tighter tolerance, because the equation of the diode is exponential.
         """
         if scene.analysis.type != "transient":
-            change = "1e-9", "change at which Newton's method stops: exponential laws"
+            change = "1e-9", "convergence tolerance of Newton's method: exponential laws"
             yield NumericalRequirements(part.name, options={"reltol": change})
 
     def notes(self, part: Part[DiodeKeys], scene: Scene) -> Iterator[str | NeglectedEffect]:
         """Yield the assumptions of the model and the effects that it neglects."""
         keys = part.keys
         yield f"diode, IS {keys.saturation_current:g} A, N {keys.emission:g}"
-        yield NeglectedEffect("heating of diodes", "27 °C throughout", "not estimated")
+        yield NeglectedEffect("heating of diodes", "constant temperature of 27 °C", "not estimated")
 
 
 register_part_type(Diode())

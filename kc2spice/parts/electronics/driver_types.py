@@ -93,7 +93,7 @@ class Amplifier(Driver[AmplifierKeys]):
     name, title = "amplifier", "high-voltage amplifier with slew rate and current limit"
     function = "the output voltage follows the command with a gain of 1"
     schema = AmplifierKeys
-    template, heading = "driver_amplifier", "high-voltage amplifier for the chip"
+    template, heading = "driver_amplifier", "high-voltage amplifier for a piezoelectric chip"
     noise = ("R", "Rout")
     rail_keys = ("negative_rail", "rail")
 
@@ -165,9 +165,9 @@ class ChargeDrive(Driver[ChargeDriveKeys]):
     """Part type ``charge_drive``: charge control of a floating capacitive load."""
 
     name, title = "charge_drive", "charge drive for a floating capacitive load"
-    function = "the charge of the load is the key capacitance times the command"
+    function = "the charge on the load is `capacitance` times the command"
     schema = ChargeDriveKeys
-    template, heading = "driver_charge", "charge drive for the chip"
+    template, heading = "driver_charge", "charge drive for a piezoelectric chip"
     noise = ("Rout", "Rsense", "Rchip")
     terminals, fixed = ("anode", "cathode"), make_driver_pins("anode", "cathode")
 
@@ -226,12 +226,12 @@ class HalfBridgeKeys(Section):
 
 
 class HalfBridge(Driver[HalfBridgeKeys]):
-    """Part type ``half_bridge``: half-bridge with gate resistors and reservoir."""
+    """Part type ``half_bridge``: half-bridge with gate resistors and reservoir capacitor."""
 
-    name, title = "half_bridge", "half-bridge with gate resistors and reservoir"
+    name, title = "half_bridge", "half-bridge with gate resistors and reservoir capacitor"
     function = "the output is 0 V or the rail, and switches where the command crosses half the rail"
     schema = HalfBridgeKeys
-    template, heading = "driver_half_bridge", "half-bridge for the chip"
+    template, heading = "driver_half_bridge", "half-bridge driver for a piezoelectric chip"
     noise = ("Rout", "Rsupply", "Rhigh", "Rlow")
     opamp = None
     inner_node = "bridge"
@@ -356,7 +356,7 @@ class PwmDrive(CoilDriver[PwmKeys]):
     schema = PwmKeys
     template, heading = "driver_pwm", "H-bridge for the coils"
     opamp = "pole"
-    noise = "no noise: it switches, which an operating point knows nothing of"
+    noise = "no noise: it switches, and a noise analysis is linearized at one operating point"
     # ``carrier`` is the peak of the triangle [V].
     # ``headroom`` is the rail voltage of the controller, divided by the peak of the triangle.
     # ``shunt`` is the resistor in the return line [Ohm].
@@ -437,7 +437,7 @@ class PwmDrive(CoilDriver[PwmKeys]):
         }
 
     def numerics(self, part: Part[PwmKeys], scene: WiredScene) -> Iterable[NumericalRequirements]:
-        """Return requirements on the time step, to resolve the PWM carrier and its edges."""
+        """Return numerical requirements: time steps that resolve PWM carrier and edges."""
         f, edge = part.keys.frequency, part.keys.edge
         what = f"a tenth of a period of the carrier of {part.name}"
         return (NumericalRequirements(what, 0.1 / f, 1 / edge),)
@@ -463,7 +463,7 @@ def _select_long_intervals(selected: np.ndarray, t: np.ndarray, duration: float)
 
 
 def _compute_ripple_frequency(carrier: float, constant: float) -> float:
-    """Return the frequency [Hz] of the highest relevant harmonic of a current ripple."""
+    """Compute the highest relevant frequency [Hz] in the ripple of a PWM current."""
     return RIPPLE_HARMONICS * carrier
 
 

@@ -63,7 +63,8 @@ OTHER_KINDS = ", ".join(kind for kind in PIN_KINDS if kind not in ("V/A", "V"))
 
 
 RATING_ADVICE = (
-    "the circuit does not keep what ratings says of it: a diode drop or a glitch beyond?"
+    "the circuit exceeds the limits in its key `ratings`: check the circuit for a glitch, or for a "
+    "diode drop beyond the rails"
 )
 
 
@@ -143,10 +144,10 @@ class Netlist(PartType[NetlistKeys]):
     """Part type ``netlist``: subcircuit from a netlist file of the user."""
 
     name = "netlist"
-    noise = "that of its own cards"
+    noise = "noise of the elements in its netlist"
     title = "the user's own subcircuit"
     schema = NetlistKeys
-    source = "yours"
+    source = "user netlist"
 
     def pins(self, part: Part[NetlistKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
         """Return the pins of the part in the order of its subcircuit."""
@@ -172,7 +173,7 @@ class Netlist(PartType[NetlistKeys]):
         return {"command": f"{control.name}.command"}
 
     def conducts_to_ground(self, part: Part[NetlistKeys], scene: DeclaredScene) -> bool:
-        """Return whether the subcircuit, or a nested subcircuit, contains the ground node."""
+        """Return whether the subcircuit, or a nested subcircuit, conducts to ground."""
         return conducts_to_ground(_read_subcircuit(part, scene))
 
     def problems(self, part: Part[NetlistKeys], scene: GovernedScene) -> Iterator[UsageError]:
@@ -258,10 +259,10 @@ class Netlist(PartType[NetlistKeys]):
 
     def law(self, part: Part[NetlistKeys], build: BuiltScene) -> MissingEquations:
         """Return no law, but the reason why the part has no model equations."""
-        return MissingEquations("its equations are a netlist of the user")
+        return MissingEquations("its equations are given only as a user-supplied netlist")
 
     def vectors(self, part: Part[NetlistKeys], build: BuiltScene) -> Mapping[str, PartResult]:
-        """Return the ngspice expression of each result of the part, keyed by result name.
+        """Return the ngspice vectors: expressions of the part's results, keyed by name.
 
         The results are the voltages of pins with ratings, and the pins, currents and inner nodes
         that probes measure.
@@ -300,8 +301,15 @@ class Netlist(PartType[NetlistKeys]):
             if rating.slew is not None:
                 ahead = np.stack([volts, -volts]) - rating.slew * waves["time"]
                 most = float((ahead - np.minimum.accumulate(ahead, axis=1)).max())
-                name = f"{name} within its slew rate"
-                yield Check(name, most, slack, "V ahead", RATING_ADVICE, wiring=True)
+                yield Check(
+                    f"{name} within its slew rate",
+                    most,
+                    slack,
+                    "V beyond",
+                    RATING_ADVICE,
+                    wiring=True,
+                    label=f"{name}, voltage change beyond its slew rate",
+                )
 
     def notes(self, part: Part[NetlistKeys], scene: Scene) -> Iterator[str]:
         """Yield the assumptions of the model and the effects that it neglects."""
@@ -309,7 +317,7 @@ class Netlist(PartType[NetlistKeys]):
         for pin in scene.pins(part.name):
             joined = pin.name in part.pins or scene.is_target(part.name, pin.name)
             if pin.default is not None and not joined:
-                yield f"{pin.name} of {part.name} is joined to {pin.default} by default"
+                yield f"{pin.name} of {part.name} is connected to {pin.default} by default"
 
 
 def make_driver_table(
@@ -405,7 +413,7 @@ def _read_pins(part: Part[NetlistKeys], scene: DeclaredScene) -> tuple[str, ...]
 
 
 def _list_probed_nodes(part: Part[NetlistKeys], scene: DeclaredScene) -> Iterator[tuple[str, str]]:
-    """Yield each probe of this part with its pin, node or element current.
+    """List the probed pins, nodes and element currents of a part, with their probes.
 
     Probes of the current or power at a pin are omitted.
     """

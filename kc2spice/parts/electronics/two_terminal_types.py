@@ -1,9 +1,9 @@
 """Part types of linear two-pin elements, such as resistors and springs.
 
 The part types are generated from a table. A table row contains the energy that an element stores,
-or the power that an element loses (:mod:`kc2spice.physics.declaration`). The program generates
-keys, netlist card, results, documentation, and the equations for the independent integrator from
-the table row.
+or the power that an element loses (:mod:`kc2spice.physics.declaration`). From the table row of a
+part type, the program generates keys, netlist card, results, documentation, and the equations for
+the independent integrator.
 """
 
 from __future__ import annotations
@@ -94,16 +94,16 @@ TABLE = (
         "100 N/m", X, {"energy": "0.5*stiffness*x^2"}, FORCE),
     ElementRow("damper", "viscous damper between two displacement pins", "damping", "N s/m",
         "0.02 N s/m", X, {"content": "0.5*damping*x_rate^2"}, FORCE),
-    ElementRow("thermal_resistor", "thermal resistance between two pins of temperature",
+    ElementRow("thermal_resistor", "thermal resistance between two temperature pins",
         "resistance", "K/W", "20 K/W", T, {"content": "0.5*temperature^2/resistance"}, HEAT),
     ElementRow("thermal_capacitor",
-        "heat capacity between a pin of temperature and its surroundings", "capacity",
+        "heat capacity between a temperature pin and ambient temperature", "capacity",
         "J/K", "0.5 J/K", T, {"coenergy": "0.5*capacity*temperature^2"}, HEAT_PULSE),
-    ElementRow("acoustic_resistor", "acoustic resistance between two pins of pressure",
+    ElementRow("acoustic_resistor", "acoustic resistance between two pressure pins",
         "resistance", "Pa s/m3", "1e6 Pa s/m3", P, {"content": "0.5*pressure^2/resistance"}, PUSH),
     ElementRow("acoustic_compliance", "acoustic compliance of a closed volume", "compliance",
         "m3/Pa", "7e-11 m3/Pa", P, {"coenergy": "0.5*compliance*pressure^2"}, PUSH),
-    ElementRow("acoustic_mass", "acoustic mass of moving fluid between two pins of pressure",
+    ElementRow("acoustic_mass", "acoustic mass of moving fluid between two pressure pins",
         "mass", "kg/m4", "150 kg/m4", U, {"coenergy": "0.5*mass*flow^2"}, VOLUME_VELOCITY),
 )  # fmt: skip
 
@@ -118,7 +118,7 @@ _KEY_DESCRIPTIONS = {
     "spring": "Stiffness of the linear spring",
     "damper": "Viscous damping coefficient of the damper",
     "thermal_resistor": "Thermal resistance between the two temperature pins",
-    "thermal_capacitor": "Heat capacity between the temperature pin and its surroundings",
+    "thermal_capacitor": "Heat capacity between the temperature pin and ambient temperature",
     "acoustic_resistor": "Acoustic resistance between the two pressure pins",
     "acoustic_compliance": "Acoustic compliance of the closed volume",
     "acoustic_mass": "Acoustic mass of the moving fluid between the two pressure pins",
@@ -145,6 +145,11 @@ part = "source"
 """
     result = Declaration(row.name, row.title, keys, (row.branch,), **row.stated, example=example)
     keys.__doc__ = f"``{'; '.join(result.equations)}``."
+    if row.name in ("inductor", "capacitor"):
+        keys.unsupported_key_hints = dict.fromkeys(
+            ("series_resistance", "resistance", "r", "rs", "rser", "esr", "dcr"),
+            f"delete the key, and connect a part of type resistor in series with the {row.name}",
+        )
     return result
 
 
@@ -167,7 +172,7 @@ class LinearElement(DeclaredPart[KeysT]):
 
     @cached_property
     def admittance_term(self) -> tuple[int, Tree]:
-        """Order of the time derivative in the element's equation, and its coefficient."""
+        """Admittance term of the element: order of the time derivative, and coefficient."""
         d, b = self.declaration, self.branch
         flow = d.derive_direct_flow(b)
         stiff, slow = differentiate_tree(flow, b.name), differentiate_tree(flow, b.rate)
@@ -185,7 +190,7 @@ class LinearElement(DeclaredPart[KeysT]):
 
     @cached_property
     def _unit_factor(self) -> Number:
-        """Factor that converts an admittance from SI units to A/V at the netlist pins."""
+        """Factor from an admittance in the domain's SI units to A/V at the netlist pins."""
         value = self.branch.domain.admittance
         return ONE if value == 1 else Number(f"{value:g}")
 
@@ -291,7 +296,7 @@ class LinearElement(DeclaredPart[KeysT]):
         return Element.from_words(R, node, "0", value), Element.from_words(G, a, b, node, "0", gain)
 
     def vectors(self, part: Part[KeysT], build: BuiltScene) -> Mapping[str, PartResult]:
-        """Return the ngspice expression of each result of the part, keyed by result name."""
+        """Return the ngspice vectors: expressions of the part's results, keyed by name."""
         if is_heated(part, build.scene):
             return super().vectors(part, build)
         across, n, b = format_branch_voltage(build, part, self.branch), part.name, self.branch

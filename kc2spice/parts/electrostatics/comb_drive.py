@@ -58,7 +58,7 @@ register_part_type(
             neglected=(
                 (
                     "fringing field",
-                    "the field is that between the overlapping fingers",
+                    "only the field between overlapping fingers is modelled",
                     "of the order of gap / thickness",
                 ),
                 (
@@ -68,7 +68,10 @@ register_part_type(
                 ),
                 _mechanical_stop.STOP_NEGLECTED,
             ),
-            rating="not known; compare the field v / gap with the breakdown of what is in the gap",
+            rating=(
+                "not known; compare the field v / gap with the breakdown field of the medium in "
+                "the gap"
+            ),
         )
     )
 )

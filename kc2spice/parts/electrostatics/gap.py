@@ -228,10 +228,10 @@ class Gap(PatchedPart[GapKeys]):
     def build(
         self, part: Part[GapKeys], scene: Scene, clock: StageTimer, full: bool = False
     ) -> int | None:
-        """Return the number of gas-film branches if ``full`` is true, otherwise None.
+        """Return the number of gas-film branches for the command ``verify``, or None.
 
         If ``full`` is true, the gas film has :data:`REFINEMENT_RATIO` times as many branches as in
-        the netlist. If the gap has no gas film, the result is None.
+        the netlist. If ``full`` is false or the gap has no gas film, the result is None.
         """
         return REFINEMENT_RATIO * count_film_branches(part, scene) or None if full else None
 
@@ -273,7 +273,7 @@ class Gap(PatchedPart[GapKeys]):
             )
 
     def vectors(self, part: Part[GapKeys], build: BuiltScene) -> Mapping[str, PartResult]:
-        """Return the ngspice expression of each result of the part, keyed by result name.
+        """Return the ngspice vectors: expressions of the part's results, keyed by name.
 
         The forces at the pins of the gas film are zero, and are not among the results.
         """
@@ -301,10 +301,13 @@ class Gap(PatchedPart[GapKeys]):
         unit = d.compute_parameter_values(part.keys) | recorded | {branch.name: 1.0}
         capacitance = np.asarray(evaluate_tree(d.derive_stored_quantity(branch), unit))
         rises = np.diff(capacitance) * -np.sign(np.diff(np.abs(recorded[branch.name])))
-        name, most = f"{part.name} where nothing rests", float(rises.max() / capacitance.max())
-        advice = "the sweep turns next to a fold, or steps over a fold: widen the sweep"
-        what = "of its capacitance, more as the voltage falls"
-        yield Check(name, most, MAX_CAPACITANCE_CHANGE, what, advice)
+        name = f"capacitance of {part.name}, drop as |voltage| rises or rise as |voltage| drops"
+        most = float(rises.max() / capacitance.max())
+        advice = (
+            "the sweep reverses close to pull-in or release, or steps over one of them: widen the "
+            "sweep"
+        )
+        yield Check(name, most, MAX_CAPACITANCE_CHANGE, "of the largest capacitance", advice)
 
     def metrics(
         self, part: Part[GapKeys], build: BuiltScene, waves: Waveforms
@@ -318,8 +321,8 @@ class Gap(PatchedPart[GapKeys]):
         damping is the imaginary part divided by ``2 pi f``.
         """
         of = {
-            "x": _list_patch_waves(part, "x", waves),
-            "force": _list_patch_waves(part, "force", waves),
+            "x": _list_patch_waveforms(part, "x", waves),
+            "force": _list_patch_waveforms(part, "force", waves),
         }
         volts = waves.data.get(f"{part.name}.v")
         if volts is None or not of["x"]:
@@ -401,8 +404,8 @@ def compute_truncation_error(
     return float(max(abs(off.imag) / total.imag, abs(off.real) / abs(total)))
 
 
-def _list_patch_waves(part: Part[GapKeys], word: str, waves: Waveforms) -> list[np.ndarray]:
-    """Return the recorded displacements (``x``) or forces (``force``) of all patches.
+def _list_patch_waveforms(part: Part[GapKeys], word: str, waves: Waveforms) -> list[np.ndarray]:
+    """List the recorded waveforms of all patches: displacements, or forces.
 
     ``word`` is ``x`` or ``force``.
     """
@@ -421,14 +424,14 @@ def _check_film(part: Part[GapKeys], build: BuiltScene, waves: Waveforms) -> Ite
         return
     of, words = (
         f"{part.name}.force*",
-        f"force of {part.name}, {REFINEMENT_RATIO} times the film's branches",
+        f"force of {part.name} with {REFINEMENT_RATIO} times as many gas-film branches",
     )
     yield Gate(words, of, {"rom_vs_fom": film.tolerance}, "largest")
     if "frequency" in waves:
         frequency = float(waves["frequency"].real[-1])
     elif "time" in waves:
         time = waves["time"]
-        for x in _list_patch_waves(part, "x", waves):
+        for x in _list_patch_waveforms(part, "x", waves):
             frequency = max(frequency, find_energy_frequency(time, np.gradient(x, time)))
     branches = count_film_branches(part, build.scene)
     error = compute_truncation_error(film, part.keys.gap, branches, frequency)
@@ -474,7 +477,7 @@ def _declare_gap(text: str, count: int, film_branches: int, top: float) -> Decla
         energy.append(_mechanical_stop.write_stop_energy(indentation, f"share{k}*"))
         forces[f"x{k}"] = _mechanical_stop.write_stop_loss(indentation, f"x{k}_rate", f"share{k}*")
         stops[f"the stop of patch {k}"] = indentation
-        limits[f"what is left of the gap at patch {k}"] = f"gap - {sign}1*x{k}"
+        limits[f"the remaining gap at patch {k}"] = f"gap - {sign}1*x{k}"
     if keys.fringing is not None:
         numbers |= {"least": "0.5*(1 - travel/gap)"}
         numbers |= {"width": keys.fringing.width, "thickness": keys.fringing.thickness}
@@ -504,7 +507,9 @@ def _declare_gap(text: str, count: int, film_branches: int, top: float) -> Decla
         content=" + ".join(content) or "0",
         limits=limits,
         neglected=tuple(_list_neglected_effects(keys, film_branches, top)),
-        rating="not known; compare v / gap with the breakdown of what is in the gap",
+        rating=(
+            "not known; compare the field v / gap with the breakdown field of the medium in the gap"
+        ),
         example=EXAMPLE_SCENE,
     )
 
@@ -516,22 +521,26 @@ def _list_neglected_effects(
     if keys.fringing is None:
         yield "fringing field", "no key `fringing`", "of the order of gap / width"
     if keys.film is None:
-        yield "squeezed gas", "no key `film`", "not estimated"
+        yield "squeezed gas film", "no key `film`", "not estimated"
     else:
         error = compute_truncation_error(keys.film, keys.gap, branches, top)
-        what, size = f"the springs of all but {branches} terms of the film's series", "none at rest"
+        what, size = f"gas-film stiffness beyond the first {branches} series terms", "zero at rest"
         if top:
-            size = f"{100 * error:.2g} % of its damping or force at {top:.4g} Hz"
-        yield what, "only their dampers are modelled", size
-        what = "pressure that is odd along the face, rarefaction, inertia of the gas"
-        yield what, "Blech's series for a face with the same motion everywhere", "not estimated"
-        what = "a spring of the gas that stiffens as the gap closes"
+            size = f"{100 * error:.2g} % of the damping or force of the gas film at {top:.4g} Hz"
+        yield what, "further series terms contribute only damping", size
+        what = "antisymmetric pressure along the face, rarefaction, inertia of the gas"
+        yield what, "Blech's series assumes a rigid face without tilt", "not estimated"
+        what = "increase of the gas-film stiffness as the gap closes"
         yield (
             what,
-            "the stiffness at rest is used",
+            "the gas-film stiffness is constant, as for the gap at rest",
             "of the order of gap at rest / remaining gap",
         )
-    yield "tilt within a patch", "one displacement each", "more patches show it"
+    yield (
+        "tilt within a patch",
+        "each patch has one displacement",
+        "not estimated; repeat the run with more patches and compare",
+    )
     yield _mechanical_stop.STOP_NEGLECTED
 
 

@@ -49,13 +49,20 @@ register_part_type(
             neglected=(
                 (
                     "fringing field",
-                    "the field is that of infinite plates",
+                    "the plates are treated as infinite",
                     "of the order of gap / width",
                 ),
-                ("squeezed air", "a damper between a and b stands for it", "not estimated"),
+                (
+                    "squeeze-film damping",
+                    "no gas film; a damper between a and b can represent it",
+                    "not estimated",
+                ),
                 _mechanical_stop.STOP_NEGLECTED,
             ),
-            rating="not known; compare v / (gap - x) with the breakdown of what is in the gap",
+            rating=(
+                "not known; compare the field v / (gap - x) with the breakdown field of the medium "
+                "in the gap"
+            ),
         )
     )
 )

@@ -60,13 +60,14 @@ class CurrentCasesKeys(Section):
 
 
 class CurrentCases(PartType[CurrentCasesKeys]):
-    """Part type ``current_cases``: force of two coils versus the height of a sphere.
+    """Part type ``current_cases``: force on a sphere for several cases of currents.
 
-    The force is computed for several pairs of currents.
+    The force of two coils is computed as a function of the height of the sphere, for several pairs
+    of currents.
     """
 
     name = "current_cases"
-    title = "force on a sphere over height for every pair of coil currents"
+    title = "force on a sphere versus height for every pair of coil currents"
     schema = CurrentCasesKeys
     source = "ideal sources"
 
@@ -85,7 +86,7 @@ class CurrentCases(PartType[CurrentCasesKeys]):
     def governed_parts(
         self, part: Part[CurrentCasesKeys], scene: DeclaredScene
     ) -> Mapping[str, Governed]:
-        """Return the sphere, whose motion this part prescribes, and the copied coils."""
+        """Return the sphere, which this experiment moves, and the coils, which it copies."""
         return {_find_sphere(part, scene): "moved", _find_coils(part, scene).name: "copied"}
 
     def cards(self, part: Part[CurrentCasesKeys], build: BuiltScene) -> tuple[Item, ...]:
@@ -120,7 +121,7 @@ class CurrentCases(PartType[CurrentCasesKeys]):
     def settable_quantities(
         self, part: Part[CurrentCasesKeys], build: BuiltScene
     ) -> Mapping[str, SweptSource]:
-        """Return the voltage source with which the dc sweep sets the sphere's height."""
+        """Return the settable quantity ``height``: the source that a dc sweep varies."""
         keys = _find_coils(part, build.scene).keys
         heights = keys.y_min + keys.shift, keys.y_max + keys.shift
         return {
@@ -130,7 +131,7 @@ class CurrentCases(PartType[CurrentCasesKeys]):
         }
 
     def vectors(self, part: Part[CurrentCasesKeys], build: BuiltScene) -> Mapping[str, PartResult]:
-        """Return the ngspice expression of each result of the part, keyed by result name."""
+        """Return the ngspice vectors: expressions of the part's results, keyed by name."""
         result = {f"{_find_sphere(part, build.scene)}.y": build.get_pin_vector(part, "y")}
         for k, name in enumerate(_list_force_names(part, build)):
             result[name] = PartResult(
@@ -183,12 +184,12 @@ class CurrentCases(PartType[CurrentCasesKeys]):
         jump = float(np.abs(np.diff(slope, axis=1)).max() / np.abs(slope).max())
         limit = build.scene.gates.lookup_slope
         advice = f"raise {_find_coils(part, build.scene).name}.points"
-        name, unit = "jump of the lookup's slope", "of the largest slope"
+        name, unit = "slope discontinuity of the force table", "of the largest slope"
         yield Check(name, jump, limit, unit, advice, "warn")
         gates = build.scene.gates
         limits = dict.fromkeys(SOLUTION_PAIRS, gates.field) | {"ngspice_vs_rom": gates.lookup}
         of = f"{_find_coils(part, build.scene).name}.force.*"
-        yield Gate("force, of the largest", of, limits, "largest", is_main=True)
+        yield Gate("force, relative to the largest force", of, limits, "largest", is_main=True)
 
     def notes(self, part: Part[CurrentCasesKeys], scene: Scene) -> Iterator[str]:
         """Yield the assumptions of the model and the effects that it neglects."""

@@ -109,7 +109,7 @@ class PortLoads(PartType[PortLoadsKeys]):
     def governed_parts(
         self, part: Part[PortLoadsKeys], scene: DeclaredScene
     ) -> Mapping[str, Governed]:
-        """Return the body, which this part copies for each loaded port."""
+        """Return the body, which this experiment copies for each loaded port."""
         return {find_loaded_body(part, scene).name: "copied"}
 
     def cards(self, part: Part[PortLoadsKeys], build: BuiltScene) -> tuple[Item, ...]:
@@ -155,7 +155,7 @@ class PortLoads(PartType[PortLoadsKeys]):
         yield from zip(("Vload", "load", "Cload", "Fload"))
 
     def vectors(self, part: Part[PortLoadsKeys], build: BuiltScene) -> Mapping[str, PartResult]:
-        """Return the ngspice expression of each response, keyed by ``INPUT>OUTPUT``.
+        """Return the ngspice vectors: expressions of responses, keyed by ``INPUT>OUTPUT``.
 
         The response of a contact ring is its displacement [m]. The response of the anode is its
         charge [C], or its voltage [V] if the anode is open.
@@ -195,7 +195,7 @@ class PortLoads(PartType[PortLoadsKeys]):
     def checks(
         self, part: Part[PortLoadsKeys], build: BuiltScene, waves: Waveforms
     ) -> Iterator[Gate]:
-        """Yield the checks that limit the errors of the responses to unit loads.
+        """Yield checks that compare errors of the responses to unit loads with their limits.
 
         The permitted errors include the tolerance of the model reduction.
         """
@@ -212,12 +212,12 @@ class PortLoads(PartType[PortLoadsKeys]):
     def figures(
         self, part: Part[PortLoadsKeys], build: BuiltScene, waves: Waveforms
     ) -> Iterator[Figure]:
-        """Yield the diagrams of the part for the report."""
+        """Yield the figures of the part for the report."""
         f = waves["frequency"].real / 1e3
         rings = _list_loaded_rings(find_loaded_body(part, build.scene), build.scene)
         curves = tuple(Curve(ring, f, np.abs(waves[f"{ring}>{ring}"])) for ring in rings)
         panel = Panel("frequency in kHz", "|response| in m/N", curves, log_y=True)
-        caption = "Response of every port to a unit load on itself."
+        caption = "Displacement response of each contact ring to a unit force on the same ring."
         yield Figure(f"{part.name}_responses", "Frequency response", caption, (panel,))
 
     def law(

@@ -83,7 +83,7 @@ class Push(TouchablePart[PushKeys]):
         return bottom, Terminal.make_rate_pin("v", TRANSLATION, GROUND)
 
     def governed_parts(self, part: Part[PushKeys], scene: DeclaredScene) -> Mapping[str, Governed]:
-        """Return the sphere, whose motion this part prescribes.
+        """Return the sphere, whose motion this experiment prescribes.
 
         The returned mapping assigns the value ``"moved"`` to the name of the sphere.
         """
@@ -109,7 +109,7 @@ class Push(TouchablePart[PushKeys]):
     def settable_quantities(
         self, part: Part[PushKeys], build: BuiltScene
     ) -> Mapping[str, SweptSource]:
-        """Return the voltage source with which the dc sweep sets the depth."""
+        """Return the settable quantity ``depth``: the source that a dc sweep varies."""
         return {
             "depth": SweptSource(
                 f"V{part.name}", -DISPLACEMENT.pin_value_per_si_unit, (0.0, part.keys.depth)
@@ -123,17 +123,21 @@ class Push(TouchablePart[PushKeys]):
         yield LargestIndentation(part.keys.depth, f"{part.name}.depth")
 
     def vectors(self, part: Part[PushKeys], build: BuiltScene) -> Mapping[str, PartResult]:
-        """Return the ngspice expression of each result of the part, keyed by result name."""
+        """Return the ngspice vectors: expressions of the part's results, keyed by name."""
         bottom = build.get_pin_vector(part, "bottom")
         return {f"{part.name}.depth": replace(bottom, factor=-bottom.factor)}
 
     def numerics(self, part: Part[PushKeys], scene: WiredScene) -> Iterator[NumericalRequirements]:
-        """Yield requirements on tolerances, to resolve the closing of each contact ring."""
-        last = "1e-09", "the law is piecewise linear, so the last iteration is exact"
+        """Yield numerical requirements: tolerances that resolve when contact rings close."""
+        last = "1e-09", "the contact law is piecewise linear, so the last iteration is exact"
         if _find_contact(part, scene).keys.shape == "pressure":
-            last = "1e-12", "the law is curved, and this is the error of the last iteration"
+            last = (
+                "1e-12",
+                "the contact law is nonlinear, so this is the error of the last iteration",
+            )
         pivots = (
-            "rings close during the sweep, and small pivots of an open ring would be inaccurate"
+            "contact rings close during the sweep; small matrix pivots of open rings would be "
+            "inaccurate"
         )
         near = "1e-12", "resolution of displacements: 1e-12 um"
         options = {"reltol": last, "vntol": near, "pivrel": ("0.9", pivots)}

@@ -12,7 +12,7 @@ import numpy as np
 from kc2spice.core.domains import HEAT
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.thermal_materials import find_resistance_coefficient
-from kc2spice.physics.conductors import ConductorKeys, get_conductor_values
+from kc2spice.physics.conductors import ConductorKeys, get_temperature_coefficient
 from kc2spice.physics.declaration import (
     COEFFICIENT,
     REFERENCE,
@@ -28,7 +28,7 @@ _UNEXPLAINED = 1e-3
 
 def get_wire_coefficients(keys: ConductorKeys) -> tuple[float, float]:
     """Return temperature coefficient [1/K] and reference temperature [K] of the wire."""
-    coefficient, reference = get_conductor_values(keys)
+    coefficient, reference = get_temperature_coefficient(keys)
     return find_resistance_coefficient("copper") if coefficient is None else coefficient, reference
 
 
@@ -74,8 +74,8 @@ def check_heat_balance(
     dissipated, left = ((wave[1:] + wave[:-1]) / 2 * step for wave in (power, flow))
     missing = float(np.abs(np.cumsum(dissipated - left)).max(initial=0.0))
     entries = {
-        "lost in the wire": float(dissipated.sum()),
-        f"given off by the pin {HEAT}": float(left.sum()),
+        "dissipated in the wire": float(dissipated.sum()),
+        f"delivered as heat at the pin {HEAT}": float(left.sum()),
     }
     yield RunEnergyBalance(entries, missing, float(dissipated.sum()), _UNEXPLAINED)
 

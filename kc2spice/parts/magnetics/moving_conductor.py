@@ -1,4 +1,4 @@
-"""The part ``moving_conductor``: conductor that moves along coils and magnets.
+"""The part ``moving_conductor``: conductor that moves along the axis of coils and magnets.
 
 A few current loops represent the eddy currents in the body of revolution. The base class
 ``MovingBody`` is also the base class of the part ``moving_magnet``.
@@ -44,7 +44,7 @@ from kc2spice.fem.magnet_rings import (
     LoopModel,
     RingCells,
     Winding,
-    compare_rings,
+    compare_loops_with_rings,
     divide_section,
     reduce_to_loops,
 )
@@ -75,7 +75,7 @@ MAX_TURNS = 5  # largest number of turning points that are reported as metrics
 # The full model resolves twice the highest frequency of the reduced model.
 REFINEMENT_RATIO = 2
 # description of the method that computes the couplings of a conductor without a division into rings
-CIRCLE_METHOD = "closed form of coaxial circles"
+CIRCLE_METHOD = "closed-form inductances of coaxial current loops"
 MIN_FREQUENCY = 1e3  # Hz, frequency up to which eddy currents are always resolved
 # Assumed inductance of a coil above a conductor, divided by the inductance of the coil alone.
 SCREENED_RATIO = 0.5
@@ -250,7 +250,10 @@ def _declare_body(
         branches,
         limits=limits,
         rating=kind.rating,
-        sign="um from b to a are the height of its centre of mass; 1 A lifts it with 1 N",
+        sign=(
+            "the displacement of a relative to b, in um, is the height of the centre of mass; 1 A "
+            "into the pin a is an upward force of 1 N"
+        ),
         validity=f"heights y_min to y_max{reach}; rigid, not magnetic, at constant temperature",
         conductors=tuple(b.name for b in branches if b.is_flow and b.plus),
         temperature_coefficient=find_resistance_coefficient("copper"),
@@ -455,10 +458,11 @@ class MovingBody(DeclaredPart[MovingT]):
         """Yield the checks of the part after a run."""
         result = build.model(part, LoopModel)
         loops, limit = result.rates.size, part.keys.tolerance
-        what, advice = f"{loops} loops of {part.name}", "use more rings, or a lower frequency"
+        what = f"truncation error of {part.name} with {loops} current loops"
+        advice = "use more rings, or a lower frequency"
         if loops:
             yield Check(what, result.error, limit, "of flux and force", advice, "warn")
-            finer = f"{result.rings} rings of {part.name} against finer ones"
+            finer = f"discretisation error of {part.name} with {result.rings} rings"
             more = f"raise {part.name}.rings"
             unit = "of flux, force and loss"
             yield Check(
@@ -471,15 +475,17 @@ class MovingBody(DeclaredPart[MovingT]):
             yield Check(what, highest, limit, "Hz", advice, "warn", discretisation=True)
             limits = {"rom_vs_fom": MAX_RING_ERROR, "ngspice_vs_fom": MAX_RING_ERROR}
             of = f"{part.name}.{_name_coil_current('*')}_v"
-            yield Gate(f"coils' voltages of {part.name}", of, limits, "largest")
+            yield Gate(f"coil voltages of {part.name}", of, limits, "largest")
         elif "time" in waves:
             of, limits = f"{part.name}.y", {"rom_vs_fom": MAX_PATH_CHANGE}
-            words = f"height of {part.name} over its way, a tenth of its tolerance"
+            words = (
+                f"height of {part.name}, relative to its travel, with a ten times smaller tolerance"
+            )
             yield Gate(words, of, limits, "travel", discretisation=True)
         yield from super().checks(part, build, waves)
 
     def figures(self, part: Part[MovingT], build: BuiltScene, waves: Waveforms) -> Iterator[Figure]:
-        """Yield the diagrams of the part for the report."""
+        """Yield the figures of the part for the report."""
         y = waves.data.get(f"{part.name}.y")
         if y is not None and "time" in waves:
             path = Curve(part.name, 1e3 * waves["time"], 1e3 * y)
@@ -519,7 +525,7 @@ class MovingBody(DeclaredPart[MovingT]):
     def add_ring_error(
         self, ladder: LoopModel, keys: MovingT, fixed: list[Winding], rings: int
     ) -> LoopModel:
-        """Return the model with an error estimate for the division into rings.
+        """Add an error estimate to the model: the error of dividing a body into rings.
 
         A model without rings is returned unchanged.
         """
@@ -527,14 +533,16 @@ class MovingBody(DeclaredPart[MovingT]):
 
 
 class MovingConductor(MovingBody[MovingConductorKeys]):
-    """Part type ``moving_conductor``: conductor that moves on the axis of coils."""
+    """Part type ``moving_conductor``: conductor that moves along the axis of coils."""
 
     name = "moving_conductor"
-    title = "conducting body that moves along coils and magnets (eddy currents)"
+    title = "conducting body that moves along the axis of coils and magnets (eddy currents)"
     schema = MovingConductorKeys
     discretisations: ClassVar[tuple[str, ...]] = ("rings", "frequency", "tolerance")
     parameters: ClassVar[type[Section]] = ConductionKeys
-    rating = "not known; i^2 resistance heats each coil, the eddy currents the body"
+    rating = (
+        "not known; the power i^2 * resistance heats each coil, and eddy currents heat the body"
+    )
     source = "rings (integral equation, axisymmetric), reduced"
 
     def shape_problems(self, part: Part[MovingConductorKeys]) -> Iterator[UsageError]:
@@ -586,14 +594,16 @@ class MovingConductor(MovingBody[MovingConductorKeys]):
     def add_ring_error(
         self, ladder: LoopModel, keys: MovingConductorKeys, fixed: list[Winding], rings: int
     ) -> LoopModel:
-        """Return the model with an error estimate for its division into rings.
+        """Add an error estimate to the model: the error of dividing a body into rings.
 
         The error is proportional to the square of the ring size, and therefore to the reciprocal of
         the number of rings. The estimate is computed from the change of the results with finer
         rings.
         """
         finer = _divide_body(keys, REFINEMENT_RATIO * rings, ladder.frequency)
-        changed = compare_rings(finer, ladder, make_windings(keys), fixed, keys.conductivity)
+        changed = compare_loops_with_rings(
+            finer, ladder, make_windings(keys), fixed, keys.conductivity
+        )
         return replace(
             ladder, ring_error=changed / max(1 - ladder.rings / finer.r.size, MIN_CHANGE_RATIO)
         )
@@ -605,15 +615,17 @@ class MovingConductor(MovingBody[MovingConductorKeys]):
         keys, frequency = part.keys, self.find_resolved_frequency(part, scene)
         highest = format_quantity(frequency, "Hz")
         yield (
-            f"{len(keys.coils)} coils, eddy currents as loops to {keys.tolerance:g} of flux and "
-            f"force up to {highest}, exact in currents, power series of the height"
+            f"{len(keys.coils)} coils; eddy currents modelled as current loops, with a relative "
+            f"error of flux and force of at most {keys.tolerance:g} at frequencies up to "
+            f"{highest}; flux and force exact in the currents, power series in the height"
         )
         yield from self.list_neglected_effects(part, scene)
         depth = 1e3 * _compute_skin_depth(keys, frequency)
         yield NeglectedEffect(
             f"eddy currents above {frequency:.4g} Hz",
-            f"loops up to there, where the skin depth is {depth:.2g} mm",
-            "a run compares its currents and finer rings with it",
+            f"current loops up to {highest}, where the skin depth is {depth:.2g} mm",
+            "each run checks the frequencies of its currents and the discretisation error of the "
+            "rings",
         )
         yield NeglectedEffect("eddy currents in the coils' wires", "thin wires", "not estimated")
         yield NeglectedEffect(

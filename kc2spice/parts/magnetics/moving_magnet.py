@@ -82,11 +82,14 @@ class MovingMagnet(MovingBody[MovingMagnetKeys]):
     """Part type ``moving_magnet``: magnet that moves along coils and fixed magnets."""
 
     name = "moving_magnet"
-    title = "magnet that moves along coils and magnets"
+    title = "magnet that moves along the axis of coils and fixed magnets"
     discretisations = ("tolerance",)
     schema = MovingMagnetKeys
     parameters = MagnetisationKeys
-    rating = "not known; i^2 resistance heats each coil, heat and opposing fields demagnetise"
+    rating = (
+        "not known; each coil is heated by the power i^2 * resistance; heat and opposing fields "
+        "can demagnetise the magnet"
+    )
     source = "closed form (coaxial circles)"
     example = """
 [moving_magnet]
@@ -143,19 +146,25 @@ sine = { amplitude = "1 V", frequency = "50 Hz" }
 
     def notes(self, part: Part[MovingMagnetKeys], scene: Scene) -> Iterator[str | NeglectedEffect]:
         """Yield the assumptions of the model and the effects that it neglects."""
-        yield f"{len(part.keys.coils)} coils, exact in currents, power series of the height"
+        count = len(part.keys.coils)
+        yield (
+            f"{count} coils; flux and force exact in the coil currents, power series in the height"
+        )
         yield from self.list_neglected_effects(part, scene)
         keys = part.keys
         extra = keys.mu_r - 1
         factor = compute_demagnetising_factor(keys.inner, keys.radius, keys.thickness)
+        loss = extra * factor / (1 + extra * factor)
         yield NeglectedEffect(
             "an uneven magnetisation",
-            f"the recoil permeability {keys.mu_r:g} feels the mean field of its own alone",
-            f"that is {100 * extra * factor / (1 + extra * factor):.2g} % of its remanence; "
-            f"other fields add {100 * extra:.2g} % of themselves",
+            f"the recoil permeability {keys.mu_r:g} is applied only to the mean demagnetising "
+            "field of the magnet itself",
+            f"the demagnetising field lowers the magnetisation by {100 * loss:.2g} %; an external "
+            f"flux density B would change the magnetisation by {100 * extra:.2g} % of B",
+            size=loss,
         )
         yield NeglectedEffect(
-            "eddy currents in the magnet", "no current flows in it", "not estimated"
+            "eddy currents in the magnet", "no current flows in the magnet", "not estimated"
         )
         yield NeglectedEffect(
             "tilting and sideways motion", "one degree of freedom", "not estimated"

@@ -71,12 +71,16 @@ register_part_type(
             neglected=(
                 ("saturation and hysteresis", "the core is linear", "compare flux / area with 1 T"),
                 ("leakage, fringing", "all flux crosses the gaps", "of the order of gap / width"),
-                ("eddy currents in the core", "the flux follows at once", "not estimated"),
+                (
+                    "eddy currents in the core",
+                    "the flux follows the magnetomotive force without delay",
+                    "not estimated",
+                ),
                 _mechanical_stop.STOP_NEGLECTED,
             ),
             conductors=("i",),
             temperature_coefficient=find_resistance_coefficient("copper"),
-            rating="not known; i^2 resistance heats the coil",
+            rating="not known; the coil is heated by the power i^2 * resistance",
             example="""
 [reluctance]
 part = "reluctance"

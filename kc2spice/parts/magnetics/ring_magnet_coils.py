@@ -14,7 +14,7 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from itertools import combinations
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
@@ -37,6 +37,7 @@ from kc2spice.core.mesh_error_descriptions import (
 )
 from kc2spice.core.progress import StageTimer
 from kc2spice.core.quantities import MU_0, si
+from kc2spice.core.si_prefix_format import format_quantity
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.magnet_keys import CatchKeys, RingKeys
 from kc2spice.netlist.circuit import Pin, make_positive_parameter
@@ -55,6 +56,7 @@ from kc2spice.parts.mechanics.sphere import find_height_offset, find_sphere
 from kc2spice.physics import coils
 from kc2spice.physics.conductors import (
     HEAT_TERMINALS,
+    OPTIONAL_HEAT_PINS,
     ConductorKeys,
     is_heated,
     list_useless_key_errors,
@@ -81,17 +83,20 @@ from kc2spice.synthesis.library_headers import SIGN_TEXT
 # conductivity [S/m] of the magnetic sphere, from table A1 of Schütz et al. (2021)
 MAGNET_CONDUCTIVITY = 150e3
 
-COLD_TEXT = "coils at the temperature of their data, without heating"
+COLD_TEXT = "coils at the temperature for which their resistances are given, without self-heating"
 HOT_TEXT = "resistances linear in the temperature, which is the same for both coils"
-UNRATED = "not known; compare the coils' currents with what their wire stands"
+UNRATED = "not known; compare the coil currents with the current rating of the wire"
 # Current [A] in plots and checks of the force if no current limit is stated.
 DEFAULT_CURRENT = 0.1
-# factor on the number of mesh cells along each edge for the finer mesh of ``verify``
+# number of mesh cells along each edge in the model of ``verify``, divided by their number in the
+# netlist's model
 REFINEMENT_RATIO = 2
-# Factor on the number of heights for a denser table, which is compared with the netlist's table.
+# Number of height intervals in the force table of ``verify``, divided by their number in the force
+# table of the netlist.
 DENSITY_RATIO = 4
 LOOKUP_POINTS = 201  # number of points of a lookup, for an error of 6e-6 of the largest force
-# Largest permitted error of the force spline between heights, relative to the largest force.
+# Largest permitted error of the force spline between the heights of the force table, divided by the
+# largest force.
 MAX_SPLINE_ERROR = 1e-2
 # Suggested launch velocity, divided by the velocity at which the sphere just reaches the lowest or
 # highest height of the force table.
@@ -127,7 +132,8 @@ class RingMagnetCoilsKeys(ConductorKeys, CatchKeys):
     )
 
 
-# In the control loop, a single current i flows through both coils in series: i2 = i and i1 = -i.
+# In the control loop, a single current i flows through both coils in opposite senses: i2 = i and
+# i1 = -i.
 # The force is then a polynomial of the current i.
 # The weights convert the coefficients of the force table to the coefficients of this polynomial.
 SERIES_COEFFICIENTS = {
@@ -145,8 +151,8 @@ ALL_PINS = (*(Terminal(end, "V", "A") for end in COIL_PINS), *POSITION_PINS)
 SERIES_PINS = (Terminal("drive", "V", "A"), Terminal("ret", "V", "A"), *POSITION_PINS)
 
 
-def compute_rated_heating(keys: RingMagnetCoilsKeys) -> float:
-    """Return the integral of the squared coil current [A^2 s] that the rating permits.
+def compute_i2t_rating(keys: RingMagnetCoilsKeys) -> float:
+    """Compute the I^2 t rating of a coil: permitted time integral of i^2 [A^2 s].
 
     A current pulse with the permitted integral of i^2 heats the wire by the rated temperature rise.
     Without cooling, the integral is ``rise c A^2 / resistivity`` for any number of turns. c is the
@@ -226,11 +232,15 @@ class RingMagnetCoils(TouchablePart[RingMagnetCoilsKeys]):
     schema = RingMagnetCoilsKeys
     source = "FE (magnetostatic, axisymmetric)"
     discretisations = ("positions", "refine")
+    optional_pins: ClassVar[Mapping[str, str]] = OPTIONAL_HEAT_PINS
 
     def generate_tables(
         self, part: Part[RingMagnetCoilsKeys], data: Mapping[str, object]
     ) -> Mapping[str, Mapping[str, object]]:
-        """Return a mapping with at most one table: the driver that ``driver`` describes."""
+        """Generate the scene table of the driver that the key ``driver`` describes.
+
+        If the part has no key ``driver``, the returned mapping is empty.
+        """
         if part.keys.driver is None:
             return {}
         known = {"linear": "linear_drive", "pwm": "pwm_drive", "user": "netlist"}
@@ -242,7 +252,7 @@ class RingMagnetCoils(TouchablePart[RingMagnetCoilsKeys]):
         """Return the pins of the part in the order of its subcircuit."""
         thermal = HEAT_TERMINALS if is_heated(part, scene) else ()
         if not has_drive_circuit(part, scene):
-            rest = None if _is_driven(part, scene) else "gnd"
+            rest = None if _is_connected(part, scene) else "gnd"
             return (
                 *(replace(end, default=rest) for end in SERIES_PINS[:2]),
                 *POSITION_PINS,
@@ -256,12 +266,12 @@ class RingMagnetCoils(TouchablePart[RingMagnetCoilsKeys]):
     def equilibrium_conditions(
         self, part: Part[RingMagnetCoilsKeys], scene: WiredScene
     ) -> EquilibriumConditions:
-        """Return the equilibrium conditions: paths of steady force, without heat paths.
+        """Return the pin pairs between which the part can transmit a constant force.
 
-        A path is a pair of pins between which the part transmits a steady force or flow. Paths at
-        the pin ``heat`` are removed, because the part does not connect ``heat`` to ground. The
-        result contains no paths between electrical pins, because only displacement, temperature and
-        pressure pins must be connected to ground.
+        Pairs with the pin ``heat`` are removed, because the part does not connect ``heat`` to
+        ground. The result contains no pairs with electrical pins. An operating point exists only if
+        displacement, temperature and pressure pins have a path to ground; electrical pins need no
+        path to ground.
         """
         clamps = super().equilibrium_conditions(part, scene).paths
         return EquilibriumConditions(tuple(path for path in clamps if HEAT not in path))
@@ -346,7 +356,7 @@ class RingMagnetCoils(TouchablePart[RingMagnetCoilsKeys]):
             yield from check_range(f"{name}.turns", fill, "of its section", 0.0, 1.01, why)
         magnet = "no permanent magnet has a larger remanence"
         yield from check_range(f"{name}.remanence", keys.remanence, "T", 0.0, 1.6, magnet)
-        long = "field and force fall off with the fourth power of the distance"
+        long = "the field decreases with the cube of the distance, and the force even faster"
         yield from check_range(f"{name}.air_radius", keys.air_radius, "m", 1e-4, 1.0, long)
 
     def largest_indentations(
@@ -432,9 +442,9 @@ class RingMagnetCoils(TouchablePart[RingMagnetCoilsKeys]):
             build.libraries[part.name],
             _has_coil_terminals(part, build.scene),
         )
-        rating = f"{compute_rated_heating(keys):.3g} A^2 s in each coil, the integral of i^2 that "
-        rating += f"warms its copper by {keys.rated_rise:g} K without cooling; steady current: not "
-        rating += "known, it depends on that"
+        rating = f"{compute_i2t_rating(keys):.3g} A^2 s in each coil, the integral of i^2 that "
+        rating += f"heats the copper by {keys.rated_rise:g} K without cooling; permitted steady "
+        rating += "current not known, because it depends on the cooling"
         words: dict[str, Any] = {"apart": apart, "points": keys.points, "rating": rating}
         if is_heated(part, build.scene):
             words["wire"] = _coil_heat.get_wire_coefficients(keys)
@@ -445,8 +455,8 @@ class RingMagnetCoils(TouchablePart[RingMagnetCoilsKeys]):
     def vectors(
         self, part: Part[RingMagnetCoilsKeys], build: BuiltScene
     ) -> Mapping[str, PartResult]:
-        """Return the ngspice expression of each result of the part, keyed by result name."""
-        if not _is_driven(part, build.scene):
+        """Return the ngspice vectors: expressions of the part's results, keyed by name."""
+        if not _is_connected(part, build.scene):
             return {}
         prefix, inst = get_result_prefix(part), f"x{part.name.lower()}"
         result = {
@@ -524,17 +534,20 @@ class RingMagnetCoils(TouchablePart[RingMagnetCoilsKeys]):
 
         The mesh cells of the finer mesh have half the size.
         """
-        from kc2spice.fem.magnet_field import choose_compared_count, compute_magnetostatic_table
+        from kc2spice.fem.magnet_field import (
+            choose_compared_height_count,
+            compute_magnetostatic_table,
+        )
 
         table, keys = build.model(part, MagnetostaticTable), part.keys
         unknowns = REFINEMENT_RATIO**2 * table.facts["unknowns"]
         if unknowns > PLANE_UNKNOWN_RATIO * most:
             cause = f"{unknowns:.0f} unknowns, more than {PLANE_UNKNOWN_RATIO * most:.0f}"
             mesh = self.describe_discretisation(part, build)
-            yield f"{part.name}: no mesh half as wide ({cause}); {mesh}"
+            yield f"{part.name}: no mesh with half the element size ({cause}); {mesh}"
             return
         settings = {
-            "positions": choose_compared_count(keys.positions),
+            "positions": choose_compared_height_count(keys.positions),
             "refine": REFINEMENT_RATIO * keys.refine,
         }
         unit = self._make_unit_remanence_keys(part, settings["positions"]).model_copy(
@@ -544,7 +557,8 @@ class RingMagnetCoils(TouchablePart[RingMagnetCoilsKeys]):
 
         def compute_finer_table() -> MagnetostaticTable:
             """Compute the force table on a mesh with cells of half the size."""
-            with clock.time_stage("full model", f"{part.name}: mesh half as wide") as share:
+            words = f"{part.name}: mesh with half the element size"
+            with clock.time_stage("full model", words) as share:
                 return compute_magnetostatic_table(unit, key["radius"], share)
 
         fine = load_or_build(
@@ -556,12 +570,14 @@ class RingMagnetCoils(TouchablePart[RingMagnetCoilsKeys]):
         pull = _compute_force_contributions(fine.coefficients, current)
         change = _compute_force_contributions(table.coefficients[::step], current) - pull
         changed = np.abs(change).sum(axis=0).max() / np.abs(pull).sum(axis=0).max()
-        yield Check(f"mesh of {part.name} half as wide, force", float(changed), MAX_SPLINE_ERROR)
+        name = f"mesh of {part.name} with half the element size"
+        label = f"mesh of {part.name}: relative error of the {{}}, versus half the element size"
+        force, inductance = label.format("force"), label.format("inductance")
+        yield Check(f"{name}, force", float(changed), MAX_SPLINE_ERROR, "relative", label=force)
         changed = np.abs(table.inductance[::step] - fine.inductance).max()
         changed /= np.abs(fine.inductance).max()
-        yield Check(
-            f"mesh of {part.name} half as wide, inductance", float(changed), MAX_SPLINE_ERROR
-        )
+        words = f"{name}, inductance"
+        yield Check(words, float(changed), MAX_SPLINE_ERROR, "relative", label=inductance)
 
     def checks(
         self, part: Part[RingMagnetCoilsKeys], build: BuiltScene, waves: Waveforms
@@ -581,22 +597,40 @@ class RingMagnetCoils(TouchablePart[RingMagnetCoilsKeys]):
             squares = np.square(list(currents.values()))
             heating = float(np.trapezoid(squares, waves["time"]).max())
             advice = "the coils overheat: use less current, or a thicker or shorter wire"
-            limit = compute_rated_heating(part.keys)
-            yield Check(f"rating of {part.name}", heating, limit, "A2 s", advice, "warn")
+            limit = compute_i2t_rating(part.keys)
+            name, label = f"rating of {part.name}", f"coil heating of {part.name}, I²t"
+            yield Check(name, heating, limit, "A2 s", advice, "warn", label=label)
         coarse = compute_spline_error(
             build.model(part, MagnetostaticTable), find_largest_current(part, build.scene)
         )
-        name, action = f"field of {part.name} between its positions", build.scene.checks.range
-        advice = f"too few heights: raise {part.name}.positions"
-        unit = "of the largest force"
-        yield Check(name, coarse, MAX_SPLINE_ERROR, unit, advice, action, discretisation=True)
-        of, limits = f"{find_sphere(part, build.scene).name}.y", {"rom_vs_fom": MAX_SPLINE_ERROR}
-        words = f"height over its way, {DENSITY_RATIO} times the positions of {part.name}"
-        yield Gate(words, of, limits, "travel", discretisation=True)
+        name = f"interpolation error of the force table of {part.name}"
+        action = build.scene.checks.range
+        advice = f"too few positions in the force table: raise {part.name}.positions"
+        yield Check(
+            name,
+            coarse,
+            MAX_SPLINE_ERROR,
+            "of the largest force",
+            advice,
+            action,
+            discretisation=True,
+            label=f"interpolation error, force of {part.name}",
+        )
+        ball, limits = find_sphere(part, build.scene).name, {"rom_vs_fom": MAX_SPLINE_ERROR}
+        words = f"height of {ball} relative to its travel, with {DENSITY_RATIO} times as many "
+        words += f"{part.name}.positions"
+        yield Gate(words, f"{ball}.y", limits, "travel", discretisation=True)
         for words, error in list_mesh_errors(build.get_model_values(part)).items():
             if error > MAX_SPLINE_ERROR:
-                name, advice = f"mesh of {part.name}, {words}", f"raise {part.name}.refine"
-                yield Check(name, error, MAX_SPLINE_ERROR, "relative, estimated", advice, "warn")
+                yield Check(
+                    f"mesh of {part.name}, {words}",
+                    error,
+                    MAX_SPLINE_ERROR,
+                    "relative, estimated",
+                    f"raise {part.name}.refine",
+                    "warn",
+                    label=f"mesh error of {part.name}, {words}",
+                )
         table, travel = build.model(part, MagnetostaticTable), float(np.ptp(y))
         remedy = f"lower {part.name}.y_min to {_suggest_table_end(y.min())}"
         if y.max() - table.y[-1] >= table.y[0] - y.min():
@@ -606,7 +640,7 @@ class RingMagnetCoils(TouchablePart[RingMagnetCoilsKeys]):
         _, floor, _, ceiling = get_air_section(part.keys)
         if y.max() > ceiling or y.min() < floor:
             remedy = _advise_less_energy(build.scene, y, table)
-        advice = f"the sphere left the field table: {remedy}"
+        advice = f"the sphere moved outside the height range of the force table: {remedy}"
         distance = float(min(abs(y.min() - table.y[0]), abs(table.y[-1] - y.max())))
         check = Check("table_left", compute_distance_outside(table, y), 0.0, "m", advice, action)
         yield replace(
@@ -616,6 +650,8 @@ class RingMagnetCoils(TouchablePart[RingMagnetCoilsKeys]):
             found=f"heights from {_format_height(y.min())} to {_format_height(y.max())}",
             accepted=f"heights from {_format_height(table.y[0])} to {_format_height(table.y[-1])}, "
             "the range of the table",
+            label="height outside the force table",
+            undecided_label="height error near an end of the table",
         )
 
     def figures(
@@ -651,33 +687,36 @@ class RingMagnetCoils(TouchablePart[RingMagnetCoilsKeys]):
         self, part: Part[RingMagnetCoilsKeys], scene: Scene
     ) -> Iterator[str | NeglectedEffect]:
         """Yield the assumptions of the model and the effects that it neglects."""
-        yield f"{part.keys.positions} heights, force quadratic in both coil currents (exact)"
+        count = part.keys.positions
+        yield f"force table with {count} heights, force quadratic in both coil currents (exact)"
         if has_drive_circuit(part, scene):
             yield "coils with R, L(y), M(y) and back-EMF"
         keys, radius = part.keys, find_sphere(part, scene).keys.radius
         diffusion = MU_0 * keys.mu_r * MAGNET_CONDUCTIVITY * (radius / np.pi) ** 2
         yield NeglectedEffect(
             "eddy currents in the sphere",
-            f"a poor conductor, {MAGNET_CONDUCTIVITY:g} S/m",
-            f"force lags by about {diffusion:.2g} s",
+            f"the sphere is a poor conductor, {format_quantity(MAGNET_CONDUCTIVITY, 'S/m')}",
+            f"force lags by about {format_quantity(diffusion, 's', 2)}",
         )
         yield NeglectedEffect(
             "the field beyond the air box",
-            f"A = 0 at radius {keys.air_radius:g} m",
-            f"compare with {part.name}.air_radius and {part.name}.air_height doubled",
+            f"no magnetic field beyond the radius {format_quantity(keys.air_radius, 'm')}",
+            f"not estimated; repeat the run with twice the values of {part.name}.air_radius and "
+            f"{part.name}.air_height, and compare",
         )
         heated = is_heated(part, scene)
         if heated:
             _, why, size = ONE_TEMPERATURE
             yield NeglectedEffect("different temperatures of the two coils", why, size)
-        if _is_driven(part, scene) and not has_drive_circuit(part, scene):
+        if _is_connected(part, scene) and not has_drive_circuit(part, scene):
             yield NeglectedEffect(
                 "coil voltage and inductance"
                 if heated
                 else "coil voltage, inductance and self-heating",
                 "an ideal current source feeds the coils",
-                f"real coils must slew {find_largest_current(part, scene):g} A against L di/dt; "
-                f"L and R are in the result under model.{part.name}",
+                "not estimated; a current step of "
+                f"{format_quantity(find_largest_current(part, scene), 'A')} needs the voltage "
+                f"L di/dt; for L and R see model.{part.name} in result.json",
             )
 
 
@@ -695,7 +734,7 @@ def plot_force(part: Part[RingMagnetCoilsKeys], build: BuiltScene) -> Figure:
         label = f"{1e3 * lower:+.3g} / {1e3 * upper:+.3g}"
         curves.append(Curve(label, 1e3 * fine, 1e3 * force))
     panel = Panel("height of the sphere's centre in mm", "force on the sphere in mN", tuple(curves))
-    caption = "Vertical force on the sphere by coil currents, lower / upper in mA."
+    caption = "Vertical force on the sphere, for the currents in mA in the lower / upper coil."
     return Figure(f"{part.name}_force", "Force map", caption, (panel,))
 
 
@@ -711,8 +750,9 @@ def plot_impedance(part: Part[RingMagnetCoilsKeys], build: BuiltScene) -> Figure
     for name, pair in currents.items():
         i = np.array(pair)
         z[name] = i**2 @ table.resistance + 2j * np.pi * f * (i @ matrix @ i)
-    how = f"of the coils of {part.name}, the sphere held in the middle of their field, capacitance "
-    return plot_impedances(part.name, f, z, how + "of the windings left out.")
+    how = f"of the impedance of the coils of {part.name}, with the sphere clamped in the middle of "
+    how += "the height range of the force table. The capacitance of the windings is neglected."
+    return plot_impedances(part.name, f, z, how)
 
 
 def get_result_prefix(part: Part[RingMagnetCoilsKeys]) -> str:
@@ -758,7 +798,8 @@ def _advise_less_energy(scene: Scene, y: np.ndarray, table: MagnetostaticTable) 
     ``y`` contains the heights [m] of the sphere.
 
     The height of a flight is proportional to the square of the launch velocity. The launch velocity
-    is proportional to the voltage of the kick.
+    is proportional to the voltage of the kick. The advised voltage is within the limit of the
+    ceramic.
     """
     travel, room = float(y.max() - y[0]), float(table.y[-1] - y[0])
     if y.max() <= table.y[-1]:
@@ -767,13 +808,24 @@ def _advise_less_energy(scene: Scene, y: np.ndarray, table: MagnetostaticTable) 
     for part in scene.list_parts("piezo_stack") if share else ():
         drive = getattr(part.keys, "drive", None)
         if drive is not None:
-            voltage = float(f"{share * drive.voltage:.2g}")
-            return f'lower the kick, such as {part.name}.drive.voltage = "{voltage:g} V"'
+            rated = [pin.rated for (name, _), pin in scene.terminals.items() if name == part.name]
+            voltage = _round_down(min(filter(None, (share * drive.voltage, *rated))))
+            return f'lower the drive voltage, such as {part.name}.drive.voltage = "{voltage:g} V"'
     for part in scene.list_parts("throw") if share else ():
         velocity = float(f"{share * getattr(part.keys, 'velocity', 0.0):.2g}")
         return f'lower the velocity, such as {part.name}.velocity = "{velocity:g} m/s"'
     names = ", ".join(part.name for part in scene.list_parts("source"))
-    return f"lower the source that accelerates the sphere: {names}"
+    return f"lower the amplitude of the source that accelerates the sphere: {names}"
+
+
+def _round_down(value: float) -> float:
+    """Return the largest number with two significant digits up to a positive value.
+
+    >>> _round_down(125.9)
+    120.0
+    """
+    step = 10.0 ** (math.floor(math.log10(value)) - 1)
+    return float(f"{math.floor(value / step) * step:.2g}")
 
 
 def _list_coil_currents(part: Part[RingMagnetCoilsKeys], waves: Waveforms) -> dict[str, np.ndarray]:
@@ -789,8 +841,8 @@ def _list_coil_currents(part: Part[RingMagnetCoilsKeys], waves: Waveforms) -> di
     return result
 
 
-def _is_driven(part: Part[RingMagnetCoilsKeys], scene: JoinedScene) -> bool:
-    """Return whether a pin of the coils is connected to another part."""
+def _is_connected(part: Part[RingMagnetCoilsKeys], scene: JoinedScene) -> bool:
+    """Return whether the scene connects at least one pin of the coils."""
     targets = {f"{part.name}.{pin}" for pin in ("drive", "ret", *COIL_PINS)}
     for other in scene.parts.values():
         joined = (*other.pins.values(), *scene.joins[other.name].values())
@@ -806,7 +858,7 @@ def find_largest_current(part: Part[RingMagnetCoilsKeys], scene: JoinedScene) ->
     result is 1 A. If no part drives the coils, return 0.
     """
     limits = [pid.keys.current_limit for pid in scene.list_parts_with_schema("pid", PidKeys)]
-    return float(max(limits, default=1.0 if _is_driven(part, scene) else 0.0))
+    return float(max(limits, default=1.0 if _is_connected(part, scene) else 0.0))
 
 
 def compute_spline_error(table: MagnetostaticTable, current: float) -> float:
@@ -814,13 +866,13 @@ def compute_spline_error(table: MagnetostaticTable, current: float) -> float:
 
     The reference of the error is the largest force for currents up to ``current`` [A] in both
     coils. If the distance between heights is doubled, the error of an accurate spline becomes 16
-    times larger. In tests, doubling the distance between heights increased the spline error by a
-    factor of at least 11. The factor was 11 for a table of 9 heights and the magnets of Schütz and
-    co-authors (2021). Therefore, the error estimate assumes that a doubled distance between heights
-    increases the spline error by a factor of at most 8. The error estimate is ``e2 / min(8, max(1,
-    e4 / e2))``, where e2 and e4 are the errors of splines through every second and every fourth
-    height. If the table has fewer than 13 heights, the error estimate is e2, the error of a spline
-    through every second height.
+    times larger. In tests, doubling the distance between the heights of the force table made the
+    spline error at least 11 times larger. The factor was 11 for a table of 9 heights and the
+    magnets of Schütz and co-authors (2021). To be on the safe side, the error estimate assumes that
+    a doubled distance between heights increases the spline error by a factor of at most 8. The
+    error estimate is ``e2 / min(8, max(1, e4 / e2))``, where e2 and e4 are the errors of splines
+    through every second and every fourth height. If the table has fewer than 13 heights, the error
+    estimate is e2, the error of a spline through every second height.
     """
     values = table.coefficients
     largest = float(np.abs(_compute_force_contributions(values, current)).sum(axis=0).max())

@@ -66,7 +66,7 @@ register_part_type(
     DeclaredPart(
         Declaration(
             "voice_coil",
-            "voice coil on a suspension that depends on the stroke",
+            "voice coil with displacement-dependent force factor and compliance",
             VoiceCoilKeys,
             (current("i", "plus", "minus"), displacement("x", "a", "b")),
             energy="integral(x/(cms + cms1*x + cms2*x^2), x)",
@@ -75,16 +75,20 @@ register_part_type(
             limits={"the compliance": "cms + cms1*x + cms2*x^2"},
             neglected=(
                 (
-                    "inductance that depends on the stroke",
-                    "its slope gives a force of i^2",
-                    "not estimated",
+                    "dependence of the inductance on the displacement",
+                    "the inductance is constant",
+                    "not estimated; its gradient causes a force proportional to i^2",
                 ),
-                (HEATING, "its resistance is constant", "0.4 % a kelvin, of copper"),
-                ("mass of coil and cone", "a mass at a stands for it", "none where it is there"),
+                (HEATING, "the resistance is constant", "0.4 % per kelvin for copper"),
+                (
+                    "mass of coil and cone",
+                    "represented by a separate part `mass` at the pin `a`",
+                    "none if the scene contains this part",
+                ),
             ),
             conductors=("i",),
             temperature_coefficient=find_resistance_coefficient("copper"),
-            rating="not known; i^2 resistance is the power that heats the coil",
+            rating="not known; the coil is heated by the power i^2 * resistance",
         )
     )
 )

@@ -118,7 +118,7 @@ class ContactKeys(Section):
         0.0,
         ge=0,
         description=(
-            "Damping coefficient of Hunt and Crossley: the contact force is multiplied by 1 "
+            "Hunt-Crossley damping coefficient: the contact force is multiplied by 1 "
             "+ damping * (closing speed)"
         ),
     )

@@ -283,11 +283,12 @@ class ContactPair:
         return max(result, key=lambda item: item.depth)
 
     @property
-    def may_move_at_start(self) -> bool:
-        """Whether a contact side may move at t = 0, or no launch from rest is possible.
+    def excludes_launch_from_rest(self) -> bool:
+        """Whether the contact excludes a launch from rest, as with a fixed upper side.
 
-        A launch from rest is impossible if the upper side of the contact is fixed or the lower side
-        is rigid. Callers evaluate a launch from rest only if the value is false.
+        A launch from rest is also excluded if the lower side of the contact is rigid, or if the
+        scene prescribes the initial state of the upper part. Callers evaluate a launch from rest
+        only if the value is false.
         """
         return (
             self.upper_surface.part == GROUND
@@ -319,7 +320,7 @@ class ContactPair:
         keys, along = self.keys, (self.keys.damping, self.keys.friction, self.keys.creep)
         if keys.shape == "pressure":
             assert self.upper_surface.radius is not None
-            local, pace = self.basis_compliance
+            local, pace = self.basis_compliance_and_damping_time
             result = _get_indentation_law(
                 self.pressure_basis, local.compliance, self.upper_surface.radius
             )
@@ -388,10 +389,11 @@ class ContactPair:
         return choose_pressure_basis(self.keys.spacing, self.lower_surface.patch)
 
     @cached_property
-    def basis_compliance(self) -> tuple[LocalCompliance, float]:
-        """Sum of the compliances of both contact surfaces, and mean damping time [s].
+    def basis_compliance_and_damping_time(self) -> tuple[LocalCompliance, float]:
+        """Compliance of two surfaces in the pressure basis, and mean damping time [s].
 
-        The compliances are matrices for the basis functions of :attr:`pressure_basis`.
+        The compliances of both surfaces are added. They are matrices for the basis functions of
+        :attr:`pressure_basis`.
         """
         return self._combine_compliances(self.pressure_basis)
 
@@ -428,9 +430,9 @@ class ContactPair:
         depths = np.linspace(0.0, self.contact_force.depth, 1000)
         depth = np.interp(force, self.contact_force.force(depths), depths)
         gap = compute_ring_gaps(self.pressure_basis.mean_gap_radii, self.upper_surface.radius)
-        result = solve_contact_forces(self.basis_compliance[0].compliance, gap, np.array([depth]))[
-            0
-        ]
+        result = solve_contact_forces(
+            self.basis_compliance_and_damping_time[0].compliance, gap, np.array([depth])
+        )[0]
         return np.asarray(force / result.sum() * result)
 
     def estimate_basis_error(self) -> float:

@@ -41,7 +41,7 @@ class StopKeys(Section):
     damping: Annotated[float, si("s/m")] = Field(
         0.0,
         ge=0,
-        description="Damping coefficient of Hunt and Crossley: the force of the stop is "
+        description="Hunt-Crossley damping coefficient: the force of the stop is "
         "multiplied by 1 + damping * (closing speed); requires restitution = 1",
     )
 
@@ -51,8 +51,8 @@ STOP_CONSTANTS = {
     "slow": repr(MIN_STRIKE_VELOCITY),
 }
 STOP_NEGLECTED = (
-    "sticking and wear of the stop, rebounds by the speed",
-    "one stiffness, one restitution",
+    "sticking and wear of the stop, dependence of the rebound on the impact speed",
+    "constant stiffness, constant coefficient of restitution",
     "not estimated",
 )
 

@@ -15,7 +15,7 @@ import numpy as np
 from kc2spice.core import constitutive_laws as laws
 from kc2spice.core.domains import AMBIENT, HEAT
 from kc2spice.core.errors import UsageError
-from kc2spice.core.figure import Curve, Figure, Panel, scale_time_axis
+from kc2spice.core.figure import Curve, Figure, Panel, choose_time_unit
 from kc2spice.core.progress import StageTimer
 from kc2spice.core.si_prefix_format import format_quantity
 from kc2spice.core.waveforms import Waveforms, integrate_cumulatively
@@ -75,10 +75,10 @@ MAX_ENERGY_ERROR = 1e-3
 FUNCTIONS_PER_RADIUS = 3.0
 MAX_BASIS_ERROR = 3e-2  # largest permitted relative force error of a pressure basis
 MAX_RING_MOTION = 0.95  # largest permitted motion of an omitted ring, divided by its gap
-# Largest permitted product of reltol and the number of contacts while a body launches another body.
-# Each contact adds the error of one time step, so more contacts need a smaller reltol.
-# In tests with 37 launches, products of reltol and number of contacts above MAX_EVENT_RELTOL caused
-# launch velocity errors of up to 9e-4.
+# Largest permitted product of reltol and the number of contact events during one launch.
+# Each contact event adds the error of one time step, so more contact events need a smaller reltol.
+# In tests with 37 launches, products of reltol and number of contact events above MAX_EVENT_RELTOL
+# caused launch velocity errors of up to 9e-4.
 # In the tests with 37 launches, the piezoelectric chips had damping ratios of 0.01 to 0.05 %.
 MAX_EVENT_RELTOL = 4e-3
 MAX_START_HEIGHT = 1e-8  # largest height [m] above a body at which a sphere counts as resting
@@ -93,7 +93,7 @@ INDENTATION_PIN = "dent"  # pin that is connected to the port of an elastic sphe
 class Contact(DeclaredPart[ContactKeys]):
     """Part type ``contact``: unilateral contact with a force law.
 
-    The keys of the contact and both parts determine the force law.
+    The force law depends on the keys of the contact, and on the two parts that touch.
     """
 
     name = "contact"
@@ -140,10 +140,11 @@ class Contact(DeclaredPart[ContactKeys]):
     def equilibrium_conditions(
         self, part: Part[ContactKeys], scene: WiredScene
     ) -> EquilibriumConditions:
-        """Return the paths of constant force, which an equilibrium requires.
+        """Return the pin pairs between which the contact can transmit a constant force.
 
-        The paths lead to ground. Without a gap between two elastic surfaces, paths also lead from
-        one surface to the other.
+        The pin ``base`` and the pins of rigid surfaces form pairs with ground. If two elastic
+        surfaces touch without a gap, each port of the lower surface forms a pair with the pin ``b``
+        of the upper surface.
         """
         pair = make_pair(part, scene)
         pins = ("base", *["va"] * pair.lower_surface.is_rigid, *["v"] * pair.upper_surface.is_rigid)
@@ -159,7 +160,7 @@ class Contact(DeclaredPart[ContactKeys]):
     def numerics(
         self, part: Part[ContactKeys], scene: WiredScene
     ) -> Iterator[NumericalRequirements]:
-        """Yield requirements on tolerances, tighter for damped or nonlinear contact laws.
+        """Yield numerical requirements: tolerances, tighter for damped or nonlinear laws.
 
         With the trapezoidal rule, the errors at closing and at opening cancel only for a linear
         spring. In tests with the tighter tolerances, rebound speeds had relative errors of 1.5e-4.
@@ -170,7 +171,7 @@ class Contact(DeclaredPart[ContactKeys]):
         reltol = (
             DAMPED_RELTOL_FACTOR if part.keys.damping else CURVED_RELTOL_FACTOR if curved else 1.0
         )
-        what = "contact, as far as a body has motions"
+        what = "vibrations of the bodies that the contact excites"
         yield NumericalRequirements(what, highest_frequency=CONTACT_FREQUENCY, reltol=reltol)
 
     def problems(self, part: Part[ContactKeys], scene: GovernedScene) -> Iterator[UsageError]:
@@ -196,13 +197,13 @@ class Contact(DeclaredPart[ContactKeys]):
                 hint=f"lower {a.part}.mesh.ring_spacing",
             )
         if part.keys.shape == "pressure":
-            yield from _check_pressure(pair)
+            yield from _check_pressure_shape(pair)
         else:
             # The property ``contact_force`` raises an error if the law does not fit both surfaces.
             assert pair.contact_force
 
     def vectors(self, part: Part[ContactKeys], build: BuiltScene) -> Mapping[str, PartResult]:
-        """Return the ngspice expression of each result of the part, keyed by result name."""
+        """Return the ngspice vectors: expressions of the part's results, keyed by name."""
         n, pair, d = (
             part.name,
             make_pair(part, build.scene),
@@ -231,7 +232,7 @@ class Contact(DeclaredPart[ContactKeys]):
         """Return the metrics of the part, keyed by name."""
         pair = make_pair(part, build.scene)
         v = waves.data.get(f"{pair.upper_surface.part}.v")
-        if "time" not in waves or v is None or pair.may_move_at_start:
+        if "time" not in waves or v is None or pair.excludes_launch_from_rest:
             return {}
         force, busy = waves[f"{part.name}.force"], find_last_source_change(build.scene)
         launch = find_separation(waves["time"], force, v, busy, pair.contact_force.power)
@@ -245,7 +246,7 @@ class Contact(DeclaredPart[ContactKeys]):
     ) -> Iterator[Check | RunEnergyBalance | Gate]:
         """Yield the checks of the part after a run."""
         pair, gates = make_pair(part, build.scene), build.scene.gates
-        if "time" in waves and not pair.may_move_at_start:
+        if "time" in waves and not pair.excludes_launch_from_rest:
             steps = compute_motion_error_limit(build.scene.solver)
             certificate = getattr(build.models.get(pair.lower_surface.part), "certificate", None)
             reduced = DEFAULT_LAUNCH_LIMIT
@@ -274,7 +275,7 @@ class Contact(DeclaredPart[ContactKeys]):
         pair = make_pair(part, build.scene)
         inside = _find_loaded_interval(force) if "time" in waves else slice(None)
         scale = next(iter(waves.data.values()))
-        x, factor = scale_time_axis(scale[inside])
+        x, factor = choose_time_unit(scale[inside])
         if (depth := pair.find_prescribed_indentation(waves)) is not None:
             scale, (x, factor) = depth, ("depth in µm", 1e6)
         curves = []
@@ -285,7 +286,7 @@ class Contact(DeclaredPart[ContactKeys]):
             curves.append(Curve("sum", factor * scale[inside], force[inside], "--"))
         sides = f"{pair.lower_surface.part} and {pair.upper_surface.part}"
         panel = Panel(x, "contact force in N", tuple(curves))
-        caption = f"Force between {sides}, whole device, at each port that closes."
+        caption = f"Contact force between {sides} at each port in contact, for the whole device."
         yield Figure(f"{part.name}_force", f"Contact of {sides}", caption, (panel,))
 
     def law(self, part: Part[ContactKeys], build: BuiltScene) -> laws.Equations:
@@ -302,11 +303,11 @@ class Contact(DeclaredPart[ContactKeys]):
     ) -> Iterator[Check | str]:
         """Compare the contact force with a model whose basis functions are half as wide."""
         if part.keys.shape == "pressure":
-            name = f"force of {part.name}, pressure basis functions half as wide"
+            name = f"force of {part.name} with pressure basis functions of half the width"
             yield Check(name, make_pair(part, build.scene).estimate_basis_error(), MAX_BASIS_ERROR)
 
     def describe_discretisation(self, part: Part[ContactKeys], build: BuiltScene) -> str:
-        """Return a note on the error estimate of the pressure basis.
+        """Describe the discretisation error of the pressure basis, which is not estimated.
 
         For a contact with rings, which has no pressure basis, the note is an empty string.
         """
@@ -319,8 +320,8 @@ class Contact(DeclaredPart[ContactKeys]):
         if keys.shape == "pressure":
             depth = format_quantity(normal.depth, "m", 3)
             spacing = format_quantity(keys.spacing, "m")
-            detail = f"pressure under a sphere, up to {depth} deep; basis functions "
-            detail += f"every {spacing} near the axis"
+            detail = f"contact pressure under a sphere, for indentations up to {depth}; basis "
+            detail += f"functions with a spacing of {spacing} near the axis"
         elif normal.power == 1.0:
             stiffness = format_quantity(normal.stiffness, "N/m")
             detail = f"{len(pair.ports)} unilateral springs, {stiffness} each"
@@ -329,32 +330,40 @@ class Contact(DeclaredPart[ContactKeys]):
         if keys.groove is not None:
             detail += f" along the axis of a groove of {keys.groove:g} degrees"
         if normal.damping:
-            detail += f", damping of Hunt and Crossley {keys.damping:g} s/m"
+            detail += f", Hunt-Crossley damping {keys.damping:g} s/m"
         if normal.friction:
-            detail += f", friction {keys.friction:g}, viscous below {normal.creep:g} m/s"
+            detail += f", friction coefficient {keys.friction:g}, viscous friction at sliding "
+            detail += f"speeds below {normal.creep:g} m/s"
         yield detail
         a, count = pair.lower_surface, len(pair.ports)
         if len(a.ports) > 1:
-            why = f"one force per port of {a.part} stands for it"
-            error = "run again with a finer mesh to see it"
+            why = f"represented by one force per port of {a.part}"
+            error = "not estimated; compare with a finer mesh"
             yield NeglectedEffect("pressure between the ports", why, error)
         if part.keys.inertia == "massless":
             yield NeglectedEffect(
-                f"inertia of the residual modes behind the ports of {part.name}",
-                "stiff modes above the band that keep the ports' compliance exact; their mass is "
-                "an artefact of the mesh and would oscillate behind the springs",
+                f"inertia of the residual modes at the ports of {part.name}",
+                "stiff modes above the band act as springs without mass",
                 "included in the error estimate of the reduced model",
             )
         dry = "" if part.keys.friction else "friction, "
         what = f"{dry}adhesion and plastic flow between {a.part} and {pair.upper_surface.part}"
-        yield NeglectedEffect(what, "the law is elastic and normal to the surface", "not estimated")
+        kind = "damped elastic" if normal.damping else "elastic"
+        forces = f"{kind} normal force" + (" and Coulomb friction" if normal.friction else "")
+        yield NeglectedEffect(what, f"contact law: {forces} only", "not estimated")
         if count < len(a.ports):
             why = f"{part.name}.rings = {part.keys.rings}"
+            error = "none while these ports stay open, checked after the run"
             if part.keys.rings == "needed":
-                why = f"open up to {pair.gaps[count]:.3g} m; {pair.largest_indentation.why}: "
-                why += f"{pair.largest_indentation.depth:.3g} m"
+                largest = pair.largest_indentation
+                gap, depth = (format_quantity(x, "m", 3) for x in (pair.gaps[count], largest.depth))
+                why = f"the gap of {gap} exceeds the estimated approach of {depth} ({largest.why})"
+                limit = format_quantity(MAX_RING_MOTION * pair.gaps[count], "m", 3)
+                error = (
+                    f"none while the approach of {a.part} to {pair.upper_surface.part} at "
+                    f"{a.ports[count]} is at most {limit}, checked after the run"
+                )
             last = f" to {a.ports[-1]}" if count + 1 < len(a.ports) else ""
-            error = "none while they stay open, checked after the run"
             yield NeglectedEffect(f"contact at {a.ports[count]}{last}", why, error)
 
 
@@ -384,14 +393,14 @@ def _list_result_factors(pair: ContactPair) -> dict[str, float]:
     )
 
 
-def _check_pressure(pair: ContactPair) -> Iterator[UsageError]:
-    """Yield an error for each key that ``shape = "pressure"`` does not permit."""
+def _check_pressure_shape(pair: ContactPair) -> Iterator[UsageError]:
+    """Check the keys of a contact with ``shape = "pressure"``, and yield each error."""
     part, a, b = pair.part, pair.lower_surface, pair.upper_surface
     hint = "delete the key `shape`"
     if a.compliance is None:
         yield part.wrong(
             "shape",
-            'shape = "pressure" needs a piezo_stack without the name of a port in the key `a`',
+            'with shape = "pressure", the key `a` must name a piezo_stack, and no port',
             got=f"the port {a.ports[0]} of {a.part}",
             expected='a = "PART", where PART is a part of type piezo_stack',
             hint=hint,
@@ -440,7 +449,7 @@ def _find_loaded_interval(force: np.ndarray) -> slice:
 def _balance_energy(
     pair: ContactPair, waves: Waveforms, place: np.ndarray
 ) -> Iterator[RunEnergyBalance]:
-    """Yield the check of the energy balance of the contact springs.
+    """Yield the energy balance of the contact springs, which checks a run.
 
     The balance contains work, stored energy and damping losses. The springs must release all of
     their stored energy. If the springs released more energy than they stored, the rebound would be
@@ -483,14 +492,15 @@ def _check_start(pair: ContactPair, waves: Waveforms, place: np.ndarray) -> Iter
         pair.upper_surface.radius is None
         or force is None
         or pair.scene.movers.get(other)
-        or pair.may_move_at_start
+        or pair.excludes_launch_from_rest
     ):
         return
     above = 0.0 if force[0] > 0 else float(place[0]) + pair.keys.gap
     advice = f"the forces on {other} balance above the body: change polarity, remanence or "
     advice += f"position of the magnets, or state {other}.height and velocity at t = 0"
     name, action = f"{other} starts at rest on {pair.lower_surface.part}", pair.scene.checks.start
-    yield Check(name, above, MAX_START_HEIGHT, "m", advice, action)
+    label = f"initial gap between {other} and {pair.lower_surface.part}"
+    yield Check(name, above, MAX_START_HEIGHT, "m", advice, action, label=label)
 
 
 def _check_events(pair: ContactPair, waves: Waveforms) -> Iterator[Check]:
@@ -500,7 +510,8 @@ def _check_events(pair: ContactPair, waves: Waveforms) -> Iterator[Check]:
         depth = float(forces.max()) / pair.contact_force.stiffness
         advice = f"the penalty springs are too soft for these surfaces: raise {n}.penalty"
         limit, action = float(pair.gaps[1]), scene.checks.penetration
-        yield Check("penetration", depth, limit, "m", advice, action)
+        label = "contact penetration"
+        yield Check("penetration", depth, limit, "m", advice, action, label=label)
     body = scene.parts.get(pair.lower_surface.part)
     drive = getattr(body.keys, "drive", None) if body else None
     if drive is None:
@@ -511,9 +522,10 @@ def _check_events(pair: ContactPair, waves: Waveforms) -> Iterator[Check]:
     most = int(np.count_nonzero(closed[:, 1:] & ~closed[:, :-1], axis=1).max())
     reltol = waves.stats.get("reltol", scene.solver.reltol)
     advice = "the time-step errors of many contact events add up: lower solver.reltol; a launch "
-    advice += "after hundreds of contact events may be ill-conditioned"
+    advice += "velocity after hundreds of contact events may depend strongly on small errors"
     limit, action = max(MIN_EVENTS, MAX_EVENT_RELTOL / reltol), scene.checks.touches
-    yield Check("touches", most, limit, "contact events", advice, action, coarse=True)
+    label = unit = "contact events"
+    yield Check("touches", most, limit, unit, advice, action, coarse=True, label=label)
 
 
 def _check_contact_extent(
@@ -556,10 +568,12 @@ def _check_contact_extent(
             advice,
             action,
             suggested=suggested,
+            label=f"approach of {a.part} to {pair.upper_surface.part} at {a.ports[len(ports)]}",
         )
     elif pair.find_prescribed_indentation(waves) is None:
-        advice = "the contact outgrows the modelled rings: raise rings or ring_spacing"
-        yield Check("outer_ring", float(force[-1].max()), 0.0, "N", advice, action)
+        advice = "the contact area extends beyond the modelled rings: raise rings or ring_spacing"
+        label, largest = "contact force on the outermost ring", float(force[-1].max())
+        yield Check("outer_ring", largest, 0.0, "N", advice, action, label=label)
 
 
 def _check_depth(pair: ContactPair, waves: Waveforms, place: np.ndarray) -> Iterator[Check]:

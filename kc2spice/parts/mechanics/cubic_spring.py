@@ -39,10 +39,8 @@ register_part_type(
             CubicSpringKeys,
             (displacement("x", "a", "b"),),
             energy="0.5*stiffness*x^2 + 0.25*cubic*x^4",
-            limits={"the stretch at which it gives way": "stiffness + 3*cubic*x^2"},
-            neglected=(
-                ("mass of the spring", "it joins two pins without inertia", "not estimated"),
-            ),
+            limits={"the tangent stiffness": "stiffness + 3*cubic*x^2"},
+            neglected=(("mass of the spring", "the spring is massless", "not estimated"),),
         )
     )
 )

@@ -197,8 +197,9 @@ elastic = true
         self, part: Part[ElasticSphereKeys], scene: Scene
     ) -> Iterator[NeglectedEffect]:
         """Yield the neglected effect: the ringing of the sphere in free flight."""
-        why = "steps do not resolve it in flight, and it does not change the path of the centre"
-        yield NeglectedEffect(f"free ringing of {part.keys.of}", why, "none on the path")
+        why = "in free flight, time steps do not resolve the vibration of the sphere; the "
+        why += "vibration does not change the path of the centre of mass"
+        yield NeglectedEffect(f"free ringing of {part.keys.of}", why, "no effect on the path")
 
     def notes(self, part: Part[ElasticSphereKeys], scene: Scene) -> Iterator[str | NeglectedEffect]:
         """Yield the assumptions of the model and the effects that it neglects."""
@@ -208,9 +209,10 @@ elastic = true
             / _make_elastic_sphere(part, scene).radius
         )
         yield NeglectedEffect(
-            f"slope of {part.keys.of} under the contact",
-            "pressure acts along the axis",
-            f"at most {deep:.1g} of the dent, by its depth over the radius",
+            f"slope of the surface of {part.keys.of} in the contact area",
+            "the contact pressure acts parallel to the axis",
+            f"at most {100 * deep:.1g} % of the indentation (indentation / sphere radius)",
+            size=deep,
         )
 
     def _find_compliance(

@@ -89,7 +89,8 @@ def declare_point_mass(
     for end, value in zip(_list_frame_pins(len(shaken)), shaken, strict=True):
         share = f"along_{end}"
         branches.append(make_frame_branch(f"a_{end}", end, "base"))
-        shares.append(Param(share, value, "-", f"share of {end} along the displacement of a"))
+        words = f"cosine of the angle between the acceleration {end} and the displacement of a"
+        shares.append(Param(share, value, "-", words))
         inertia.append(f"mass*{share}*a_{end}")
     return Declaration(
         "mass",
@@ -109,7 +110,8 @@ def declare_point_mass(
         ),
         rating="none: the part is rigid",
         validity="rigid, in vacuum, at any temperature",
-        sign="um and N count along the pin's direction; 1 A into a pin pushes it that way",
+        sign="um and N are positive in the direction of the pin's displacement; 1 A into a pin is "
+        "a force of 1 N in this direction",
     )
 
 
@@ -161,7 +163,7 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
             )
 
     def settable_quantities(self, part: Part[MassKeys], build: BuiltScene) -> Mapping[str, float]:
-        """Return the node voltages that set the initial displacement and velocity."""
+        """Return settable quantities: node voltages of initial displacement and velocity."""
         state = self.initial_motion(part, build)
         if state is None:
             return {}

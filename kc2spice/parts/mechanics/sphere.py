@@ -18,9 +18,9 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel, Shape
 from kc2spice.core.quantities import (
     AIR_DENSITY,
-    Density,
     Length,
     Section,
+    SolidDensity,
     Velocity,
     make_invalid_value_error,
 )
@@ -61,6 +61,8 @@ AIR_VISCOSITY = 1.825e-5  # viscosity of air [Pa s]
 STEEL_DENSITY = 7850.0  # density of steel [kg/m^3]
 REST_STATE = InitialState(0.0, 0.0)
 SETTLING_BAND = 0.05  # half-width of the settling band, divided by the step to the set point
+# largest settling time of a caught sphere, divided by the duration of the run
+MAX_SETTLING_SHARE = 0.9
 # Largest permitted relative error of the work on a sphere.
 # With this error of the work, the relative error of a launch velocity is about 1e-3.
 MAX_WORK_ERROR = 1e-4
@@ -91,7 +93,7 @@ class SphereKeys(Section):
             "default steel for an elastic sphere"
         ),
     )
-    density: Density = Field(
+    density: SolidDensity = Field(
         default_factory=_find_default_density,
         gt=0,
         description=(
@@ -192,7 +194,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
     def generate_tables(
         self, part: Part[SphereKeys], data: Mapping[str, object]
     ) -> Mapping[str, Mapping[str, object]]:
-        """Return a mapping with at most one table: the part for the sphere's elasticity.
+        """Generate the scene table of the part that models the sphere's elasticity.
 
         Return no table for a rigid sphere.
         """
@@ -228,8 +230,6 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
         keys, name = part.keys, part.name
         small = "smaller grains stick by adhesion, and no transducer moves larger balls"
         yield from check_range(f"{name}.radius", keys.radius, "m", 1e-6, 0.1, small)
-        solid = "no solid is lighter than an aerogel or heavier than osmium"
-        yield from check_range(f"{name}.density", keys.density, "kg/m3", 1.0, 22_600.0, solid)
 
     def contact_surface(
         self, part: Part[SphereKeys], scene: GovernedScene, ports: tuple[str, ...] = ()
@@ -249,7 +249,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
     def governed_parts(
         self, part: Part[SphereKeys], scene: DeclaredScene
     ) -> Mapping[str, InitialState]:
-        """Return the sphere, with its velocity and height at t = 0.
+        """Return the velocity and height of the sphere at t = 0, keyed by its part name.
 
         The mapping is empty if velocity and height are zero.
         """
@@ -272,7 +272,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
         )
 
     def settable_quantities(self, part: Part[SphereKeys], build: BuiltScene) -> Mapping[str, float]:
-        """Return the node voltages that set the initial displacement and velocity.
+        """Return settable quantities: node voltages of initial displacement and velocity.
 
         Both voltages are zero. They are set only if no part is joined to the pins ``v`` and
         ``bottom``, and if the scene does not prescribe the initial state of the sphere.
@@ -288,7 +288,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
         return {build.get_net(part, "v"): 0.0, build.get_net(part, "bottom"): 0.0}
 
     def vectors(self, part: Part[SphereKeys], build: BuiltScene) -> Mapping[str, PartResult]:
-        """Return the ngspice expression of each result of the part, keyed by result name."""
+        """Return the ngspice vectors: expressions of the part's results, keyed by name."""
         return {f"{part.name}.{pin}": build.get_pin_vector(part, pin) for pin in ("y", "v")}
 
     def main_metrics(self, part: Part[SphereKeys], build: BuiltScene) -> Mapping[str, ProbeKeys]:
@@ -304,7 +304,13 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
     def metrics(
         self, part: Part[SphereKeys], build: BuiltScene, waves: Waveforms
     ) -> Mapping[str, object]:
-        """Return the metrics of the part, keyed by name."""
+        """Return the metrics of the part, keyed by name.
+
+        If the sphere is still rising at the end of the run, the metrics include a warning. The
+        warning is omitted if a controller has caught the sphere, because the height of a caught
+        sphere hardly changes. The warning is also omitted without gravity, because a sphere without
+        weight has no final height.
+        """
         y = waves.data.get(f"{part.name}.y")
         if y is None or "time" not in waves or part.name in build.scene.initial_states:
             return {}
@@ -314,7 +320,13 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
         }
         v = waves.data.get(f"{part.name}.v")
         rising = v is not None and y[-1] == y.max() and v[-1] > 0
-        return result | {"still_rising": Metric(True)} if rising else result
+        if not rising:
+            return result
+        caught = any(is_caught(pid, part, waves) for pid in _list_controllers(part, build.scene))
+        n, warning = part.name, ""
+        if build.scene.gravity and not caught:
+            warning = f"{n} is still rising at the end of the run, so its heights are not final"
+        return result | {"still_rising": Metric(True, warning=warning)}
 
     def checks(
         self, part: Part[SphereKeys], build: BuiltScene, waves: Waveforms
@@ -332,7 +344,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
                 {"ngspice_vs_rom": compute_motion_error_limit(scene.solver)},
             )
             if limit is None:
-                yield Gate(f"{words} over its way", of, default, "travel")
+                yield Gate(f"{words} relative to its travel", of, default, "travel")
             else:
                 yield Gate(words, of, {"ngspice_vs_rom": limit}, "absolute", "m")
         t, v, mass = waves["time"], waves[f"{part.name}.v"], part.keys.mass
@@ -358,16 +370,15 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
     def figures(
         self, part: Part[SphereKeys], build: BuiltScene, waves: Waveforms
     ) -> Iterator[Figure]:
-        """Yield the diagrams of the part for the report."""
+        """Yield the figures of the part for the report."""
         y = waves.data.get(f"{part.name}.y")
         if y is None or "time" not in waves:
             return
         levels, bands = [], []
-        for pid in build.scene.list_parts_with_schema("pid", PidKeys):
-            if find_controlled_sphere(pid, build.scene) is part:
-                goal, band = 1e3 * pid.keys.setpoint, 1e3 * compute_settling_band(pid, part)
-                levels.append((goal, "set point, ±5 % of the step"))
-                bands.append((goal - band, goal + band, ""))
+        for pid in _list_controllers(part, build.scene):
+            goal, band = 1e3 * pid.keys.setpoint, 1e3 * compute_settling_band(pid, part)
+            levels.append((goal, "set point, ±5 % of the step"))
+            bands.append((goal - band, goal + band, ""))
         path = Curve(part.name, 1e3 * waves["time"], 1e3 * y)
         panel = Panel(
             "time in ms", "height of the centre in mm", (path,), tuple(levels), tuple(bands)
@@ -402,15 +413,13 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
         """Yield the assumptions of the model and the effects that it neglects."""
         keys = part.keys
         mass = format_quantity(keys.mass, "kg")
-        yield f"{mass}, vertical motion, gravity {scene.gravity:g} m/s2"
+        yield f"{mass}, vertical motion, gravity {format_quantity(scene.gravity, 'm/s2')}"
         linear = any(
             c.keys.law == "linear" for c in scene.list_parts_with_schema("contact", ContactKeys)
         )
         if linear and part.keys.elastic is None:
-            why = f"the part is rigid unless {part.name}.elastic"
-            yield NeglectedEffect(
-                "elasticity of the sphere", why, _describe_elasticity_effect(part, scene)
-            )
+            why = f"the sphere is rigid, because {part.name}.elastic is not set"
+            yield _estimate_elasticity_effect(part, scene, why)
         if scene.analysis.type == "transient":
             yield _estimate_air_drag(part.keys)
             why = "the part moves along one axis"
@@ -451,6 +460,45 @@ def compute_settling_band(pid: Part[PidKeys], ball: Part[SphereKeys]) -> float:
     return SETTLING_BAND * abs(float(pid.keys.setpoint - ball.keys.radius))
 
 
+def find_settling_time(
+    pid: Part[PidKeys], ball: Part[SphereKeys], waves: Waveforms
+) -> float | None:
+    """Return the time [s] from which a sphere stays in the settling band.
+
+    Return None if the sphere is outside of the settling band at the end of the run.
+    """
+    band = compute_settling_band(pid, ball)
+    return compute_settling_time(waves["time"], waves[f"{ball.name}.y"], pid.keys.setpoint, band)
+
+
+def compute_settling_time(t: np.ndarray, y: np.ndarray, target: float, band: float) -> float | None:
+    """Return the time [s] from which a signal stays in a band around its target.
+
+    The band is ``target`` ± ``band``. The result is None if the last value of ``y`` is outside the
+    band.
+    """
+    outside = np.abs(y - target) > band
+    if outside[-1]:
+        return None
+    if not outside.any():
+        return float(t[0])
+    k = int(np.flatnonzero(outside)[-1])
+    edge = target + np.copysign(band, y[k] - target)
+    return float(t[k] + (edge - y[k]) / (y[k + 1] - y[k]) * (t[k + 1] - t[k]))
+
+
+def is_caught(pid: Part[PidKeys], ball: Part[SphereKeys], waves: Waveforms) -> bool:
+    """Return whether a sphere stays in the settling band in the last tenth of the run."""
+    t, settled = waves["time"], find_settling_time(pid, ball, waves)
+    return settled is not None and bool(settled <= t[0] + MAX_SETTLING_SHARE * (t[-1] - t[0]))
+
+
+def _list_controllers(ball: Part[SphereKeys], scene: DeclaredScene) -> list[Part[PidKeys]]:
+    """Return the controllers that control the height of a sphere."""
+    controllers = scene.list_parts_with_schema("pid", PidKeys)
+    return [pid for pid in controllers if find_controlled_sphere(pid, scene) is ball]
+
+
 def _has_prescribed_motion(part: Part[SphereKeys], scene: GovernedScene) -> bool:
     """Return whether another part prescribes the motion of the sphere."""
     return scene.movers.get(part.name) is not None
@@ -486,16 +534,24 @@ def _find_sphere_at(part: Part, pin: str, scene: WiredScene) -> Part[SphereKeys]
     return None
 
 
-def _describe_elasticity_effect(part: Part[SphereKeys], scene: GovernedScene) -> str:
-    """Return the effect of the sphere's neglected elasticity on a contact, in words."""
+def _estimate_elasticity_effect(
+    part: Part[SphereKeys], scene: GovernedScene, why: str
+) -> NeglectedEffect:
+    """Estimate the effect of the neglected elasticity of the sphere on a contact.
+
+    ``why`` states the assumption of the model.
+    """
     sphere_modulus = make_sphere_material(part).indentation_modulus
     moduli = [
         make_pair(contact, scene).lower_surface.modulus for contact in scene.list_parts("contact")
     ]
     stiffest = max(filter(None, moduli), default=0.0)
+    effect, share = "elasticity of the sphere", stiffest / sphere_modulus
     if not stiffest:
-        return "not estimated"
-    return f"the indentation would be {100 * stiffest / sphere_modulus:.0f} % softer"
+        return NeglectedEffect(effect, why, "not estimated")
+    return NeglectedEffect(
+        effect, why, f"contact compliance {100 * share:.0f} % higher if elastic", size=share
+    )
 
 
 def _estimate_air_drag(keys: SphereKeys) -> NeglectedEffect:
@@ -509,7 +565,8 @@ def _estimate_air_drag(keys: SphereKeys) -> NeglectedEffect:
     area = math.pi * keys.radius**2
     drag = 0.5 * AIR_DENSITY * speed**2 * area * coefficient
     share = drag / (keys.mass * 9.81)
-    return NeglectedEffect("drag of the air", "small", f"{share:.2g} of the weight at 1 m/s")
+    error = f"{100 * share:.2g} % of the weight at 1 m/s"
+    return NeglectedEffect("drag of the air", "no drag", error, size=share)
 
 
 register_part_type(Sphere())

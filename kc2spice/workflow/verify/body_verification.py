@@ -77,7 +77,11 @@ def verify_body(
     rom = build.model(part, LinearModel)
     band = choose_verified_band(rom, build)
     errors, curves = {}, {}
-    names = part.type.prescribed_ports(part, rom) if isinstance(part.type, LinearBody) else ()
+    names = (
+        part.type.prescribed_temperature_ports(part, rom)
+        if isinstance(part.type, LinearBody)
+        else ()
+    )
     given = [*map(rom.inputs.index, names)]
     at = _list_error_frequencies(rom, band)
     full = find_full_model(part, build.scene, clock)
@@ -91,7 +95,7 @@ def verify_body(
         curves[f"{part.name}: full model"] = _label_waves(at, exact, rom)
     else:
         findings.notes.append(
-            f"{part.name}: no full model here; its reduced model is taken as it is"
+            f"{part.name}: no full model available; its reduced model is used unverified"
         )
     findings.checks += list_rom_checks(part.name, rom, band)
     frequency, answer = simulate_netlist_response(part, build, libraries, clock, work, band)
@@ -140,8 +144,12 @@ def _check_against_full_model(
                 f"{omitted.max():.4g} Hz are not compared, because rounding errors of the full "
                 f"model exceed the limit {limit:.1e}"
             )
-    words = f"{name}: ROM to full model, at {count} frequencies with its resonances"
-    findings.checks.append(Check(words, error, limit))
+    words = f"{name}: ROM versus full model, at {count} frequencies including its resonances"
+    label = (
+        f"{name}: relative error of the reduced model versus the full model, at {count} "
+        "frequencies including its resonances"
+    )
+    findings.checks.append(Check(words, error, limit, "relative", label=label))
     return error
 
 
@@ -167,19 +175,21 @@ def list_netlist_checks(
     leaked = MAX_LEAK_RATIO * compute_leakage_share(frequency) if electrical else 0.0
     every_column = list(range(len(rom.inputs)))
     error = compare_responses(emitted, exact, given, _compute_storage_flow(rom, frequency))
-    checks = [Check(f"{name}: netlist to ROM, all ports", error, max(gate, leaked))]
+    words = f"{name}: netlist versus ROM, all ports"
+    label = f"{name}: relative error of the netlist versus the reduced model, all ports"
+    checks = [Check(words, error, max(gate, leaked), "relative", label=label)]
     rows = []
     for port in electrical:
         row, input_column = [rom.outputs.index(port)], rom.inputs.index(port)
-        rows.append((f": capacitance of {port}", row, [input_column]))
+        rows.append((f"capacitance of {port}", row, [input_column]))
         others = [column for column in every_column if column != input_column]
         if others:
-            rows.append((f": charge by loads of {port}", row, others))
+            rows.append((f"charge of {port} due to loads on other ports", row, others))
     for words, row, columns in rows:
         at = np.ix_(range(len(frequency)), row, columns)
-        checks.append(
-            Check(name + words, compute_relative_error(emitted[at], exact[at]), max(gate, leaked))
-        )
+        error = compute_relative_error(emitted[at], exact[at])
+        label = f"{name}: netlist, relative error of the {words}"
+        checks.append(Check(f"{name}: {words}", error, max(gate, leaked), "relative", label=label))
     if all(port.conservative for port in rom.ports):
         # Leaks of electrical ports make the netlist slightly non-reciprocal.
         # The leak of an electrical port changes the charge due to a force, but it does not change
@@ -285,7 +295,9 @@ def list_rom_checks(name: str, rom: LinearModel, band: tuple[float, float]) -> l
             poles = rom.poles()
             size = np.maximum(np.abs(poles), 2 * np.pi * band[1])
             rightmost = float((poles.real / size).max(initial=-1.0))
-    result = [Check(f"{name}: ROM, growth of its poles", rightmost, limit)]
+    words = f"{name}: ROM, largest relative growth rate of its poles"
+    label = f"{name}: reduced model, largest relative growth rate of a pole"
+    result = [Check(words, rightmost, limit, "relative", label=label)]
     if all(port.conservative for port in rom.ports) and rom.symmetric:
         frequency = np.linspace(0.0, band[1], 202)[1:]
         H, rates = rom.transfer(frequency), not is_heat_model(rom)
@@ -315,13 +327,17 @@ def list_passivity_and_reciprocity_checks(
     Y = 2j * np.pi * frequency[:, None, None] * H if rates else H
     hermitian = (Y + Y.conj().transpose(0, 2, 1)) / 2
     lowest = np.linalg.eigvalsh(hermitian)[:, 0] / np.abs(Y).max(axis=(1, 2))
-    result = [Check(f"{name}, active power over all frequencies", max(0.0, -lowest.min()), limit)]
+    model = name.replace(": ROM", ": reduced model")
+    words = ", passivity: largest negative active power at any frequency"
+    power, label = max(0.0, -lowest.min()), f"{model}{words}, relative"
+    result = [Check(f"{name}{words}", power, limit, "relative", label=label)]
     if len(balance) > 1:
         transposed = H.transpose(0, 2, 1)
         asymmetry = (
             compute_relative_error(transposed, H) if rates else float(np.abs(H - transposed).max())
         )
-        result.append(Check(f"{name}, reciprocity", asymmetry, limit))
+        label = f"{model}, relative error of the reciprocity"
+        result.append(Check(f"{name}, reciprocity", asymmetry, limit, "relative", label=label))
     return result
 
 

@@ -59,7 +59,8 @@ def complete_solution(waves: Waveforms, build: BuiltScene) -> Solution:
         if all(term.result_names <= set(waves) for term in terms):
             known[name] = terms
     waves = add_powers(waves, known)
-    return Solution(waves, *compute_metrics(waves, build, partial=True))
+    found = compute_metrics(waves, build, partial=True)
+    return Solution(waves, found.values, found.units)
 
 
 def list_gate_checks(
@@ -74,7 +75,8 @@ def list_gate_checks(
     several parts have the same metric, each gate applies to the metric of its part.
     """
     limits, leading = [], []
-    words = pair.replace("rom", "ROM").replace("fom", "full model").replace("_vs_", " to ")
+    words = pair.replace("rom", "ROM").replace("fom", "full model").replace("_vs_", " versus ")
+    solutions = words.replace("ROM", "reduced model")
     for part, item in gates:
         wave = f"{part}.{item.result}"
         gate = replace(item, result=wave) if wave in exact.metrics else item
@@ -83,15 +85,30 @@ def list_gate_checks(
             continue
         if pair in gate.limits:
             limits.append(
-                Check(f"{gate.description}, {words}", value, gate.limits[pair], gate.unit)
+                Check(
+                    f"{gate.description}, {words}",
+                    value,
+                    gate.limits[pair],
+                    gate.unit if gate.measure == "absolute" else "relative",
+                    label=f"{_describe_measure(gate)} of {gate.description}, {solutions}",
+                )
             )
         if gate.is_main and not math.isnan(value):
             leading.append(value)
     return limits, max(leading, default=None)
 
 
+def _describe_measure(gate: Gate) -> str:
+    """Return ``relative error`` or ``error``, depending on the measure of a gate.
+
+    The measures *travel* and *largest* return ``error``, because the description of the gate states
+    the reference value.
+    """
+    return "relative error" if gate.measure in ("relative", "spectral") else "error"
+
+
 def compute_gate_difference(gate: Gate, ours: Solution, exact: Solution) -> float | None:
-    """Compute how much the result of a gate differs between two solutions.
+    """Compute how much two solutions differ in the result named by a ``verify`` gate.
 
     ``gate.result`` is the name of the compared metric or waveform.
 

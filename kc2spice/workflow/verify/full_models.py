@@ -24,8 +24,8 @@ from kc2spice.scene.scene_classes import BuiltScene
 from kc2spice.workflow.verify.full_transient import (
     FullSolution,
     add_differences,
+    compute_full_model_differences,
     list_port_bodies,
-    solve_full_differences,
 )
 from kc2spice.workflow.verify.law_solution import LawSolution, solve_without_transient
 
@@ -122,7 +122,10 @@ def solve_full_models(
     networks = list(filter(list_port_bodies, networks))
     if not networks:
         return None
-    rows = (solve_full_differences(network, build, exact, clock, thorough) for network in networks)
+    rows = (
+        compute_full_model_differences(network, build, exact, clock, thorough)
+        for network in networks
+    )
     fine, coarse, notes = zip(*rows, strict=True)
     end = min(float(item.time[-1]) for item in fine)
     waves, coarse_waves = (add_differences(exact, items, end) for items in (fine, coarse))

@@ -118,11 +118,11 @@ class FullModelDifference:
 
 
 def list_port_bodies(network: Network) -> list[PortBody]:
-    """Return the bodies of a network that are modelled by relations at their ports."""
+    """List port bodies: bodies represented by a relation between port quantities."""
     return [law for law in network.laws if isinstance(law, PortBody)]
 
 
-def solve_full_differences(
+def compute_full_model_differences(
     network: Network, build: BuiltScene, exact: LawSolution, clock: StageTimer, thorough: bool
 ) -> tuple[FullModelDifference, FullModelDifference, str]:
     """Compute differences between full and reduced models, with step sizes h and 2 h.
@@ -188,10 +188,12 @@ def solve_full_differences(
 def find_last_rest(
     bodies: list[PortBody], run: Trajectory, span: float
 ) -> tuple[float, Callable[[System, np.ndarray], np.ndarray] | None]:
-    """Return the last time [s] at rest, and a function that computes the rest state.
+    """Find the last time at which a scene is at rest before a load changes.
 
-    The returned time precedes the first change of a load. Until the returned time, the full and the
-    reduced models agree. If no load changes, or if a load changes in the first time step, the
+    The second result is a function that computes the state of a system at the returned time.
+
+    The returned time [s] precedes the first change of a load. Until the returned time, the full and
+    the reduced models agree. If no load changes, or if a load changes in the first time step, the
     result is the time 0 and None. If possible, the returned time is at most ``span`` [s] before a
     load first reaches half of its largest change.
     """
@@ -220,7 +222,7 @@ def find_last_rest(
     at = first - 1
 
     def reconstruct_state(system: System, z: np.ndarray) -> np.ndarray:
-        """Return a system's unknowns at the last time before the loads change."""
+        """Reconstruct a system's unknowns from waveforms just before the loads change."""
         return _reconstruct_state(system, z, float(time[at]), lambda name: float(waves[name][at]))
 
     return float(time[at]), reconstruct_state

@@ -94,7 +94,7 @@ def solve_without_transient(
             data |= _solve_noise(network, build, points)
         else:
             data |= evaluate_combinations(
-                network.results, _solve_steady_waves(network, build, points), points
+                network.results, _solve_network_without_transient(network, build, points), points
             )
     return Waveforms(data, {})
 
@@ -111,10 +111,10 @@ def _solve_noise(network: Network, build: BuiltScene, points: np.ndarray) -> dic
     return {NOISE_WAVE: solve_noise(network.laws, network.joins, output, points)}
 
 
-def _solve_steady_waves(
+def _solve_network_without_transient(
     network: Network, build: BuiltScene, points: np.ndarray
 ) -> Mapping[str, np.ndarray]:
-    """Return the waveforms of a network in an ac, dc or operating point analysis."""
+    """Solve a network for an ac, dc or operating point analysis, without a transient."""
     system, kind = assemble_system(network.laws, network.joins), build.scene.analysis.type
     if kind == "ac":
         return solve_ac(system, points)

@@ -67,7 +67,7 @@ TIME_FACTOR = 5.0
 EXTRA_SECONDS = 30.0
 
 
-SOLUTION_NAMES = {"ngspice": "netlist, ngspice", "rom": "laws", "fom": "full model"}
+SOLUTION_NAMES = {"ngspice": "netlist, ngspice", "rom": "equations", "fom": "full model"}
 # default error limits of a transient, as multiples of solver.reltol
 METRIC_LIMIT_FACTOR = 10.0
 WAVE_LIMIT_FACTOR = 200.0
@@ -219,7 +219,7 @@ class _Verification:
         replayed = find_replayed_nets(laws) if result.left_out and self.has_transient else None
         if result.left_out:
             rows = map(self._explain_missing_law, result.left_out)
-            note = f"parts without a law are left out: {', '.join(rows)}"
+            note = f"parts without equations are omitted: {', '.join(rows)}"
             if replayed is None:
                 note += "; the bodies are compared, the whole scene is not"
             elif replayed:
@@ -238,7 +238,7 @@ class _Verification:
         else:
             vectors = list_recorded_vectors(self.replayed)
             self._compare_solutions(deck.with_results(vectors) if vectors else deck)
-        self._summarise_errors()
+        self._record_error_metrics()
         result.wall_s = {stage: time for stage, time in self.clock.wall_s.items() if time}
         return result
 
@@ -261,7 +261,7 @@ class _Verification:
         """
         build, waves, result = self.build, self._simulate(deck), self.outcome
         with self.clock.time_stage(
-            "reference", "laws of the reduced models, events located"
+            "reference", "integration of the equations with reduced models"
         ) as share:
             begin = time.monotonic()
             reference = solve_laws(build, waves, self.replayed, share)
@@ -282,7 +282,13 @@ class _Verification:
         if reference.imbalance is not None:
             limit = REPLAY_BALANCE_LIMIT if self.replayed else build.scene.gates.energy
             result.checks.append(
-                Check("energy of the reference integration", reference.imbalance, limit)
+                Check(
+                    "energy balance of the reference integration",
+                    reference.imbalance,
+                    limit,
+                    "relative",
+                    label="relative error of the energy balance of the reference solution",
+                )
             )
         full = with_full_models(build, self.clock)
         followed = full and solve_full_models(
@@ -408,14 +414,22 @@ class _Verification:
             else:
                 known[name] = error
         if missed:
-            yield Check(f"metric {missed[0]}, reached by one of both", math.nan, metric)
+            words = f"metric {missed[0]}, computed by only one of ngspice and equations"
+            yield Check(words, math.nan, metric, "relative")
         if known:
             worst = max(known, key=known.__getitem__)
-            yield Check(f"every metric, worst {worst}, ngspice to laws", known[worst], metric)
+            words = f"every metric, ngspice versus equations, worst {worst}"
+            label = f"largest relative difference of a metric, ngspice versus equations: {worst}"
+            yield Check(words, known[worst], metric, "relative", label=label)
         followed = filterfalse(self._may_ring_at_large_steps, outputs)
         last = max(followed, key=attrgetter("rms"), default=None)
         if last is not None:
-            yield Check(f"every wave (rms), worst {last.output}, ngspice to laws", last.rms, wave)
+            words = f"every waveform (rms), ngspice versus equations, worst {last.output}"
+            label = (
+                "largest relative rms difference of a waveform, ngspice versus equations: "
+                f"{last.output}"
+            )
+            yield Check(words, last.rms, wave, "relative", label=label)
 
     def _may_ring_at_large_steps(self, output: OutputDeviation) -> bool:
         """Return whether an output belongs to a body that may ring at large time steps.
@@ -436,7 +450,7 @@ class _Verification:
                 missing.append(f"{name} ({probe.of})")
         if missing:
             words = ", ".join(missing)
-            yield f"probes that are not compared, as the laws have no such result: {words}"
+            yield f"probes not compared, because the equations do not compute them: {words}"
 
     def _add_run_checks(self) -> None:
         """Add checks of the ngspice run to the findings.
@@ -454,11 +468,12 @@ class _Verification:
             if not solved:
                 unsolved.append(check.name)
             if not solved or check.action == "fail" or check.name.startswith("jump"):
-                self.outcome.checks.append(replace(check, name=f"{check.name}, ngspice"))
+                name, label = f"{check.name}, ngspice", f"{check.printed_label}, ngspice"
+                self.outcome.checks.append(replace(check, name=name, label=label))
         if unsolved:
             self.outcome.notes.append(
-                "not solved in time with a finer discretisation, but compared with one at the "
-                f"frequencies of the run: {'; '.join(unsolved)}"
+                "compared with a finer discretisation only at the frequencies of the run, not in "
+                f"the time domain: {'; '.join(unsolved)}"
             )
 
     def _check_time_steps(self, waves: Waveforms, coarse: Waveforms) -> None:
@@ -469,18 +484,18 @@ class _Verification:
         """
         ours, exact = complete_solution(coarse, self.build), complete_solution(waves, self.build)
         for limit in list_gate_checks(self._list_model_gates(), "rom_vs_fom", ours, exact)[0]:
-            words = limit.name.replace("ROM to full model", "full model, steps halved")
+            words = limit.name.replace("ROM versus full model", "full model, time steps halved")
             self.outcome.checks.append(replace(limit, name=words))
         moved = compute_output_errors("steps", coarse, waves)
         if moved:
             worst = max(moved, key=attrgetter("rms"))
             self.outcome.notes.append(
-                f"halving its steps moves the full model's waves by at most {worst.rms:.1e} (rms; "
-                f"{worst.output})"
+                "halving the time step changes the waveforms of the full model by at most "
+                f"{worst.rms:.1e} (rms; {worst.output})"
             )
 
-    def _summarise_errors(self) -> None:
-        """Record metrics: the reduction error and, for a single body, its model sizes."""
+    def _record_error_metrics(self) -> None:
+        """Record the reduction error as a metric; for a single body, also the model sizes."""
         result, bodies = self.outcome, self.build.scene.bodies
         if "rom_vs_fom" in result.errors:
             result.metrics["rom_error"] = result.errors["rom_vs_fom"]
