@@ -37,7 +37,7 @@ def envelope(rows):
 def settling(row):
     """Settling time of a point, or what happens to the sphere instead."""
     if row["status"] != "ok":
-        return "leaves the table" if "table left" in row["status"] else "failed"
+        return "leaves the table" if "range of the force table" in row["status"] else "failed"
     return f"{1e3 * number(row['settling_time_s']):.2f} ms" if row["caught"] == "true" else "lost"
 
 
