@@ -52,8 +52,8 @@ def _machine_line(record):
         f"Each time is a CPU time: the median of {record['repeats']} runs, or of fewer runs if a "
         "run takes long. An asterisk marks a setting that is more accurate than every faster "
         "setting in its table. A row `lower bound` contains the time of a compiled program that "
-        "can solve only the equations of one benchmark. Rows with `lower bound` have no asterisk, "
-        "and the settings in all other rows are not compared with the lower bound."
+        "can solve only the equations of one benchmark. A row `lower bound` never has an asterisk. "
+        "The asterisks of all other rows are assigned as if the table had no row `lower bound`."
     )
     if took:
         line += f" The whole benchmark took {took / 60:.1f} min."

@@ -36,7 +36,7 @@ class Variant:
 def variants(build, setup):
     """Decks of one reduced model: tolerances, methods, ceilings, lookups."""
     scene, catch = build.scene, build.scene.find_only_part("ring_magnet_coils")
-    yield Variant("ngspice, as shipped", "the scene as it is", make_deck(build))
+    yield Variant("ngspice, as shipped", "unmodified scene", make_deck(build))
     for method, tolerances in (("trap", RELTOL), ("gear", RELTOL[:3])):
         for reltol in setup.some(tolerances, 2 if method == "trap" else 1):
             deck = _deck(build, {"solver.reltol": reltol, "solver.method": method})
@@ -54,7 +54,7 @@ def variants(build, setup):
 
 def launches(build, setup):
     """Decks of a loop whose contact ports have no inertia: as it is, and for a launch alone."""
-    yield Variant(NO_INERTIA, "no inertia, the scene as it is", make_deck(build))
+    yield Variant(NO_INERTIA, "no inertia, unmodified scene", make_deck(build))
     catch, control = (
         build.scene.find_only_part("ring_magnet_coils"),
         build.scene.find_only_part("pid"),

@@ -199,6 +199,7 @@ NAMES_BY_MODULE = {
         "format_model_summary format_operating_point format_results format_summary write_run"
     ),
     "kc2spice.report.sweep_page": "_plot_histogram compute_yields",
+    "kc2spice.report.verify_page": "VerificationResult format_verification",
     "kc2spice.rom": "pencil stability",
     "kc2spice.rom.band": "choose_natural_band compute_elastic_eigenvalues find_band_end",
     "kc2spice.rom.branch_fit": "fit_one_port",

@@ -73,6 +73,9 @@ def _select_unknowns(doc: Any) -> Iterator[str]:
             yield f"Pins as in the built-in scene `{doc.scene}`.\n"
     else:
         yield "Its pins follow from its keys.\n"
+    if doc.optional_pins:
+        pairs = [(f"`{pin}`", f"`{key}`") for pin, key in doc.optional_pins.items()]
+        yield _table(("optional pin", "added by the key"), pairs)
     if doc.keys:
         yield _keys(doc.keys)
     if doc.results:

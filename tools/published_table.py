@@ -86,7 +86,7 @@ The words in italics are columns of the tables, or marks in the tables:
 
 - *full*: value of the finite-element model.
 - *reduced*: value of the reduced model, which becomes the subcircuit.
-- *ngspice*: value of the netlist in ngspice.
+- *ngspice*: value that ngspice computes from the netlist of the scene.
 - *difference*: relative difference between the ngspice value and the published value. In rows
   without an ngspice value, the column *difference* contains the relative difference between the
   value of the full model and the published value.

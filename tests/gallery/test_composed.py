@@ -32,7 +32,7 @@ def test_a_scene_from_scratch_runs_sweeps_and_verifies(write, swept, metric, tmp
     assert verified["passed"]
     names = [check["name"] for check in verified["checks"]]
     assert any(name.startswith("every wave") for name in names)
-    assert any("netlist to ROM" in name for name in names)
+    assert any("netlist versus ROM" in name for name in names)
     if write is kicked:
         # all six states integrated with located events: 0.08364828 m/s, four of them 0.08358288 m/s
         assert verified["errors"]["rom_vs_fom"] == pytest.approx(7.82e-4, rel=0.01)

@@ -46,7 +46,7 @@ def lowest(tmp_path_factory):
 def test_the_versions_are_the_lowest(lowest):
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     wanted = dict(text.split(">=") for text in project["dependencies"])
-    found = {each["name"]: each["found"] for each in lowest("doctor", "--json")["findings"]}
+    found = {each["name"]: each["state"] for each in lowest("doctor", "--json")["findings"]}
     for name in ("numpy", "scipy", "scikit-fem", "gmsh", "pydantic", "typer"):
         assert found[name].split(".")[:2] == (wanted[name] + ".0").split(".")[:2]
     assert version("numpy") != found["numpy"]  # else this would test nothing

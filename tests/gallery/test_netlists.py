@@ -375,7 +375,7 @@ def test_modes_of_shipped_buzzers_are_the_branches_that_their_comments_state(sce
     at all frequencies. C follows from L and from the frequency, which has more digits: near the
     resonance the rounding of C counts Q times."""
     path = disc_library(scene)
-    form = r"\* Mode \d+, at the defaults: (\S+) kHz, .*, L=(\S+) C=(\S+) R=(\S+) at anode"
+    form = r"\* Mode \d+, at the default values: (\S+) kHz, .*, L=(\S+) C=(\S+) R=(\S+) at anode"
     rows = re.findall(form, path.read_text("utf-8"))
     branches = [(1e3 * float(f), *map(parse_literal, row)) for f, *row in rows]
     assert all(

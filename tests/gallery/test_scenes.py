@@ -106,7 +106,7 @@ def test_imprint_is_verified_three_ways_and_a_missed_gate_is_exit_code_4(tmp_pat
     found = json.loads((tmp_path / "verify.json").read_text())["scenes"]["imprint"]
     assert found["passed"] is False
     missed = {check["name"] for check in found["checks"] if not check["passed"]}
-    assert missed == {"static force, ngspice to ROM", "static force, ngspice to full model"}
+    assert missed == {"static force, ngspice versus ROM", "static force, ngspice versus full model"}
     assert found["errors"]["rom_vs_fom"] < 1e-9
     assert found["errors"]["ngspice_vs_fom"] < 1e-6
     assert (tmp_path / "verify.html").stat().st_size > 10_000

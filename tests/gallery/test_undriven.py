@@ -14,7 +14,8 @@ BODY = {
     "analysis": {"type": "ac", "start": 1e3, "stop": 10e3, "points": 40},
     "beam": {
         "part": "bimorph", "length": 30e-3, "width": 5e-3, "wiring": "parallel",
-        "layers": [{"material": "PZT-5A", "thickness": 0.3e-3}] * 2, "damping": {"quality": 50},
+        "layers": [{"material": "PZT-5A", "thickness": 0.3e-3}] * 2,
+        "damping": {"quality": 50, "at": 314.0},
     },
 }  # fmt: skip
 LOAD = {"part": "resistor", "resistance": 1e3, "pins": {"a": "beam.anode"}}

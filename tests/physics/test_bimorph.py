@@ -5,6 +5,8 @@ import pytest
 from pydantic import ValidationError
 from support import BimorphKeys, UsageError, find_material, make_bimorph_blocks
 
+import kc2spice as kc
+
 PZT = find_material("PZT-5A")
 
 
@@ -88,3 +90,25 @@ def test_bad_keys():
         make_bimorph_blocks(bimorph(("unobtainium", 1e-3), length=1e-2, width=1e-3))
     with pytest.raises(ValidationError, match="not on the beam"):
         bimorph(("steel", 1e-3), length=1e-2, width=1e-3, points={"far": 2e-2})
+
+
+@pytest.mark.parametrize("refine", [2, 3, 4, 5])
+def test_refine_divides_cells_in_the_plane_and_half_as_often_through_layers(refine):
+    """The size estimate of a refined mesh exceeds the size by less than 25 %."""
+    scene = kc.load_scene("harvester")
+    keys = scene.get_part("beam").keys
+
+    def count(refine):
+        """Cells along each axis, and nodes of quadratic hexahedra with 27 nodes."""
+        mesh = keys.mesh.model_copy(update={"refine": refine})
+        grid = make_bimorph_blocks(keys.model_copy(update={"mesh": mesh})).grid
+        n = np.array([len(lines) - 1 for lines in grid])
+        return n, np.prod(2 * n + 1)
+
+    cells, nodes = count(1)
+    finer, more = count(refine)
+    layers = len(keys.layers)
+    assert cells[2] == layers
+    assert [*finer] == [refine * cells[0], refine * cells[1], layers * -(-refine // 2)]
+    part = scene.get_part("beam")
+    assert 1 < part.type.estimate_mesh_growth(part, 1, refine) * nodes / more < 1.25

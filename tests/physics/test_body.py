@@ -316,7 +316,7 @@ def test_solids_that_share_no_nodes_are_refused_or_merged(tmp_path):
     with pytest.raises(UsageError, match="solids touch but share no nodes") as error:
         plates(tmp_path)
     place = "x 0 … 6 mm, y 0 … 2 mm, z = 1 mm, groups box0, box1"
-    assert error.value.got == f"{twice} pairs of nodes at one place, {place}"
+    assert error.value.got == f"{twice} pairs of coincident nodes, {place}"
     merged, joined = plates(tmp_path, merge="1 um"), plates(tmp_path / "joined")
     for name in ("unknowns", "capacitance_free_f", "resonance_short_hz"):
         assert merged.model.facts[name] == pytest.approx(joined.model.facts[name], rel=1e-9), name
@@ -432,7 +432,7 @@ def test_pick_that_misses_names_its_point(tmp_path):
     ({"electrodes": {"anode": "level2"}}, "at least two electrodes"),
     ({"poling": {"layer7": [0, 0, 1]}}, "without a material"),
     ({"ports": [{"name": "a", "group": "end", "axis": "rx"}]}, "needs the key `axis`"),
-    ({"ports": [{"name": "a", "axis": "x"}]}, "needs group"),
+    ({"ports": [{"name": "a", "axis": "x"}]}, "needs the key `group`"),
     ({"ports": [{"name": "a b", "group": "end", "axis": "x"}]}, "pattern"),
     ({"electrodes": {}, "ports": []}, "electrodes or ports"),
 ])  # fmt: skip

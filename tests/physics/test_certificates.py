@@ -69,7 +69,8 @@ def test_estimate_is_between_the_error_and_three_times_it(seed, norm):
 
 
 @pytest.mark.parametrize(
-    ("unknowns", "dashpot", "way"), [(90, 0.0, "these are all states"), (310, 0.3, "compared"),
+    ("unknowns", "dashpot", "way"), [(90, 0.0, "compared with all states"),
+                                     (310, 0.3, "compared with the full model"),
                                      pytest.param(1310, 0.0, "more", marks=pytest.mark.slow)],
 )  # fmt: skip
 def test_an_intermediate_model_states_how_far_it_is_from_the_full_model(unknowns, dashpot, way):
@@ -84,7 +85,7 @@ def test_an_intermediate_model_states_how_far_it_is_from_the_full_model(unknowns
     exact = oracle.direct(oracle.system(matrices), frequency)
     error = (np.abs(intermediate.pencil.transfer(2j * np.pi * frequency) / exact - 1)).max()
     rounding = (
-        1e-11 if way == "these are all states" else 0.0
+        1e-11 if way == "compared with all states" else 0.0
     )  # numpy's solution is 4e-12 off, ours 6e-14
     assert 0 < error <= intermediate.error + rounding
 

@@ -161,8 +161,8 @@ def test_a_face_inside_a_body_is_refused(tmp_path):
     ("port", "text"),
     [
         ({"axis": "z", "group": "top"}, "cannot have the key `axis`"),
-        ({"at": [0, 0, 0]}, "needs group"),
-        ({}, "needs group"),
+        ({"at": [0, 0, 0]}, "needs the key `group`"),
+        ({}, "needs the key `group`"),
     ],
 )
 def test_keys_of_a_face_are_checked(port, text):

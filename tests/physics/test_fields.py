@@ -178,7 +178,7 @@ def test_every_section_of_a_pressed_body_carries_the_total_force(device, port, s
 
 
 def test_fields_of_merged_layers_are_refused():
-    with pytest.raises(UsageError, match="one layer each"):
+    with pytest.raises(UsageError, match="each contain one layer"):
         load_scene("kick_and_catch", {"kick.fields": True, "kick.mesh.layers_per_element": 2})
 
 

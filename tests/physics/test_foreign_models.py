@@ -9,7 +9,7 @@ import oracle
 import pytest
 from support import LinearModel, SimulationError, UsageError, reduce_model, subcircuit
 
-REASONS = "not that accurate", "no state-space form", "out of reach", "does not settle"
+REASONS = "too inaccurate", "no state-space form", "out of reach", "does not converge"
 
 
 def rotation(rng, n):

@@ -506,7 +506,7 @@ DIE = {
         ({"films": [{"group": "top", "coefficient": "-1 W/(m2 K)"}]}, "out of range"),
         ({"films": [{"group": "top", "coefficient": "5 W/m2"}]}, "wrong unit"),
         ({"materials": {"a": "copper"}}, "layers cannot be combined with"),
-        ({"mesh": "a.msh"}, "mesh or layers"),
+        ({"mesh": "a.msh"}, "either the key `mesh` or the key `layers`"),
         ({"layers": [{"material": "unobtainium", "thickness": "1 mm", "area": "1 mm2"}]},
          "has no thermal constants"),
         ({"layers": [{"material": substance(-1.0, 1.0, 1.0), "thickness": 1, "area": 1}]},

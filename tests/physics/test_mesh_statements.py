@@ -15,9 +15,9 @@ from support import (
     StageTimer,
     TransverselyIsotropicSphere,
     build_models,
-    choose_compared_count,
+    choose_compared_height_count,
     choose_pressure_basis,
-    compare_rings,
+    compare_loops_with_rings,
     compute_magnetostatic_table,
     compute_sphere_compliance,
     compute_test_forces,
@@ -36,7 +36,7 @@ from support import (
 
 import kc2spice as kc
 
-UNKNOWN = "mesh: error not estimated, because the matrices state no mesh"
+UNKNOWN = "mesh: error not estimated, because the matrices come without a mesh"
 
 
 def stated(tables, name, overrides=None):
@@ -128,7 +128,7 @@ def test_error_of_the_force_table_is_that_of_its_mesh(changes, radius):
 
 
 def test_heights_of_the_coarser_mesh_are_some_of_the_table():
-    assert [choose_compared_count(count) for count in (4, 5, 9, 24, 41, 161)] == [
+    assert [choose_compared_height_count(count) for count in (4, 5, 9, 24, 41, 161)] == [
         4,
         5,
         5,
@@ -166,7 +166,7 @@ def test_a_conductor_states_its_rings():
     ]
     body = moving_conductor._divide_body(keys, 1600, found.frequency)
     coils = moving_conductor.make_windings(keys)
-    true = compare_rings(body, found, coils, fixed, keys.conductivity)
+    true = compare_loops_with_rings(body, found, coils, fixed, keys.conductivity)
     assert 0.5 < found.ring_error / true < 2
 
 
@@ -174,8 +174,8 @@ def test_a_magnet_states_that_it_has_no_mesh():
     tables = {"name": "s", **tomllib.loads(load_part_types()["moving_magnet"].example)}
     tables["analysis"] = {"type": "op"}
     detail, facts, header = stated(tables, "moving_magnet")
-    assert "no mesh: closed form of coaxial circles" in detail
-    assert header == "mesh: none: closed form of coaxial circles"
+    assert "no mesh: closed-form inductances of coaxial current loops" in detail
+    assert header == "mesh: none: closed-form inductances of coaxial current loops"
     assert facts == {}
 
 

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from support import ChipMesh, StackKeys, UsageError, load_scene, make_stack, make_stack_setup
+from support import StackKeys, StackMeshKeys, UsageError, load_scene, make_stack, make_stack_setup
 
-MESH = ChipMesh(sectors=4, rings=2, outer_rings=4)
+MESH = StackMeshKeys(sectors=4, rings=2, outer_rings=4)
 
 
 def chip(mounting, layers=4):

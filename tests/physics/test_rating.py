@@ -67,7 +67,7 @@ def test_the_head_states_the_rating():
 
     (part,) = read_lib(ROOT / "netlists" / "impact" / "impact_kick.lib")
     assert re.search(r"(?m)^\* rating: 121.2 V between the electrodes", part.text)
-    assert re.search(r"(?m)^\* sign: um and N count along each port's direction", part.text)
+    assert re.search(r"(?m)^\* sign: um and N are positive along each port's direction", part.text)
 
 
 @pytest.mark.parametrize(("top", "passed"), [(5e5, True), (5.1e5, False)])

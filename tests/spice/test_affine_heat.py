@@ -107,5 +107,5 @@ def test_terms_that_heat_models_cannot_have_are_refused():
                        B=model.model.B, ports=model.model.ports),
         [squared], model.parameters[:1],
     )  # fmt: skip
-    with pytest.raises(UsageError, match="no sum with this key"):
+    with pytest.raises(UsageError, match="not a sum of constant matrices"):
         kc.reduce(affine, tolerance=1e-3, band=(0, 10))

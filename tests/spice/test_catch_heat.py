@@ -92,7 +92,7 @@ def test_verify_fails_if_the_resistance_follows_another_temperature(monkeypatch)
     scene = catch_alone(SERIES, drive=drive, solver={"stop": "20 ms", "reltol": 1e-5})
     verdict = kc.verify(scene)
     missed = [check["name"] for check in verdict["checks"] if not check["passed"]]
-    assert any("ngspice to laws" in name for name in missed), missed
+    assert any("ngspice versus equations" in name for name in missed), missed
 
 
 def test_the_heat_of_the_catch_needs_a_path():

@@ -12,8 +12,8 @@ ALL = {
     "rating of kick", "rating of catch", "reduction of kick",
     "table_left", "outer_ring", "penetration", "touches", "saturation",
     "kick_drive drives as defined", "control_enable drives as defined",
-    "sphere starts at rest on kick", "steps of kick against its exact answer",
-    "field of catch between its positions",
+    "sphere starts at rest on kick", "time steps of kick compared with its exact response",
+    "interpolation error of the force table of catch",
     *(f"energy of {part}" for part in BALANCES),
 }  # fmt: skip
 
@@ -75,7 +75,7 @@ def test_energy_gained_in_the_contact_is_detected(waves, scene, table, model):
 def test_a_wrong_current_into_the_chip_is_detected(waves, scene, table, model):
     more = changed(waves, **{"kick.current": 1.3 * waves["kick.current"]})
     assert violated(more, scene, table, model) == [
-        "steps of kick against its exact answer", "energy of kick",
+        "time steps of kick compared with its exact response", "energy of kick",
     ]  # fmt: skip
 
 
@@ -83,7 +83,7 @@ def test_ringing_without_a_cause_in_the_forces_is_reported(waves, scene, table, 
     """A chip in contact moves as its exact answer to voltage and forces; beside it a warning."""
     wrong = changed(waves, **{"kick.u.ring0": 1.05 * waves["kick.u.ring0"]})
     check = next(c for c in judged(wrong, scene, table, model).checks
-                 if c.name == "steps of kick against its exact answer")  # fmt: skip
+                 if c.name == "time steps of kick compared with its exact response")  # fmt: skip
     assert not check.passed
     assert not check.is_fatal
     assert check.value == pytest.approx(0.05, rel=0.1)
@@ -91,7 +91,7 @@ def test_ringing_without_a_cause_in_the_forces_is_reported(waves, scene, table, 
 
 def test_contact_beyond_the_last_ring_is_detected(waves, scene, table, model):
     wide = changed(waves, **{"contact.force.ring5": np.full_like(waves["time"], 0.1)})
-    with pytest.raises(SimulationError, match="outer ring"):
+    with pytest.raises(SimulationError, match="outermost ring"):
         require_passed(judged(wide, scene, table, model).checks, "here")
 
 

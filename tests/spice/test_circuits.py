@@ -146,7 +146,7 @@ def test_a_source_that_is_not_as_defined_fails_the_run(kind, tmp_path):
         replace(item, values=tuple(word.replace("3e-06", "3.01e-06") for word in item.values))
         for item in deck.items
     )
-    with pytest.raises(SimulationError, match="drive drives as defined"):
+    with pytest.raises(SimulationError, match="waveform error of drive"):
         simulate_deck(build, replace(deck, items=wrong), tmp_path)
 
 

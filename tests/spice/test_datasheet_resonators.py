@@ -121,7 +121,7 @@ def test_a_contradiction_lists_both_values_and_their_implications():
         ({"fs": FS, "keff": 0.2, "c0": C0}, "these values do not determine the circuit"),
         ({}, "these values do not determine the circuit"),
         ({"fs": 7e3, "fp": 6e3, "c0": C0, "rm": 1.0}, "parallel resonance is not above"),
-        ({"fs": FS, "keff": 0.2, "c0": C0, "zs": 1e6}, "exceeds the impedance of the capacitance"),
+        ({"fs": FS, "keff": 0.2, "c0": C0, "zs": 1e6}, "exceeds the reactance of the clamped"),
         (
             {"fs": FS, "rm": 1.0, "c0": 2e-9, "c_low": 1e-9},
             "is not greater than the clamped capacitance",

@@ -84,7 +84,7 @@ def test_the_law_of_an_amplifier_has_its_negative_rail(tmp_path):
 
 def test_checks_of_clipping_can_fail_a_run(tmp_path):
     sine = {"sine": {"amplitude": 20.0, "frequency": 1e4}}
-    with pytest.raises(SimulationError, match="clipping of driver"):
+    with pytest.raises(SimulationError, match="share of time clipped, driver"):
         run_driver(tmp_path, "amplifier", {}, sine, {"type": "transient", "stop": 1e-4},
                    at_output(CHIP), checks={"saturation": "fail"})  # fmt: skip
 
@@ -219,7 +219,7 @@ def test_an_amplifier_is_not_driven_beyond_its_rails(tmp_path):
                  "pulse": {"high": 3.0, "width": 1e-6, "edge": 1e-7}},
         "load": {"part": "capacitor", "capacitance": 10e-9, "pins": {"a": "push.out", "b": "gnd"}},
     })  # fmt: skip
-    with pytest.raises(SimulationError, match="amplifier within its rails"):
+    with pytest.raises(SimulationError, match="amplifier, voltage beyond its rails"):
         simulate_deck(build, make_deck(build), tmp_path)
 
 
@@ -236,8 +236,8 @@ Rout buffered out 1
     ("rating", "violated"),
     [
         ({"low": "-1 V", "high": "101 V", "slew": 6e8}, None),
-        ({"high": "90 V"}, "mine.out within its rails"),
-        ({"slew": 3e8}, "mine.out within its slew rate"),
+        ({"high": "90 V"}, "mine.out, voltage beyond its rails"),
+        ({"slew": 3e8}, "mine.out, voltage change beyond its slew rate"),
     ],
 )
 def test_the_header_of_a_netlist_is_checked(rating, violated, tmp_path):

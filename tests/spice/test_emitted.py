@@ -117,7 +117,7 @@ def test_rounding_of_the_given_matrices_is_no_fault_of_the_circuit():
     )  # fmt: skip
     part = subcircuit(model, "soft")
     assert part.reduction.circuit_error > 1e-5
-    with pytest.warns(UserWarning, match="rounding errors of the original matrices"):
+    with pytest.warns(UserWarning, match="rounding errors in the matrices of the model"):
         require_circuit_tolerance(part, model, 1e-8)
     with warnings.catch_warnings():
         warnings.simplefilter("error")

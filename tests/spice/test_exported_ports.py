@@ -65,7 +65,7 @@ def test_a_run_omits_unused_ports_and_explain_lists_them(chain, tmp_path):
     assert pins(tmp_path / "out" / "pushed_chain.lib") == ["left"]
     said = chain("explain", "pushed.toml")
     assert "chain: ports middle, right" in said
-    assert "export keeps them" in said
+    assert "export includes them" in said
 
 
 def test_the_exported_deck_runs_as_an_edited_one(chain, tmp_path):

@@ -126,7 +126,11 @@ def test_the_branches_of_a_film_follow_from_the_band(top):
         < count_film_branches(scene.parts["plate"], scene)
     )
     told = scene.parts["plate"].type.notes(scene.parts["plate"], scene)
-    (row,) = [n for n in told if isinstance(n, NeglectedEffect) and "terms of the film" in n.effect]
+    (row,) = [
+        n
+        for n in told
+        if isinstance(n, NeglectedEffect) and "gas-film stiffness beyond" in n.effect
+    ]
     damping = found.imag / (2 * np.pi * top)
     missed = abs(damping / blech(top)[1] - 1)
     assert missed == pytest.approx(float(row.error.split()[0]) / 100, abs=1e-3)
@@ -152,7 +156,9 @@ def test_an_unstable_branch_fails_a_sweep():
         volts = np.linspace(10, 8, 21)
         waves = Waveforms({"sweep": volts, "plate.v": volts,
                            "plate.x1": 1e-6 + rise * (volts - 8)}, {})  # fmt: skip
-        found = [c for c in part.type.checks(part, build, waves) if "rests" in c.name]
+        found = [
+            c for c in part.type.checks(part, build, waves) if "drop as |voltage| rises" in c.name
+        ]
         assert [c.passed for c in found] == [passed]
 
 

@@ -235,7 +235,7 @@ def test_a_netlist_that_gives_off_too_little_heat_fails_the_balance(monkeypatch)
     less = property(lambda self: multiply_trees(Number("0.99"), power(self)))
     monkeypatch.setattr(Declaration, "heat_power", less)
     scene, _ = heated_scene("damper")
-    with pytest.raises(SimulationError, match="energy of part"):
+    with pytest.raises(SimulationError, match="energy balance of part"):
         kc.run(scene)
 
 

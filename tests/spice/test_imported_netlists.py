@@ -362,19 +362,19 @@ max_step = "20 ns"
 @pytest.mark.parametrize(
     ("card", "message"),
     [
-        ("B1 a 0 V=delay(V(a), 1u)", "a delay of a voltage has no equal"),
-        ("B1 a 0 I=idt(V(a))", "an integral over time has no equal"),
+        ("B1 a 0 V=delay(V(a), 1u)", "a delay of a voltage has no equivalent"),
+        ("B1 a 0 I=idt(V(a))", "a time integral has no equivalent"),
         ("B1 a 0 I=V(a)^3", r"reads \^ as exclusive or"),
         ("B1 a 0 I=V(a)**1.5", "a power with a base that can be negative"),
-        ("C1 a 0 Q=1n*x", "a charge by an expression"),
-        ("L1 a 0 Flux=1n*x", "a flux by an expression"),
+        ("C1 a 0 Q=1n*x", "a capacitor with a charge expression"),
+        ("L1 a 0 Flux=1n*x", "an inductor with a flux expression"),
         ("E1 a 0 a 0 Laplace=1/(1+s)", "Laplace transform"),
         ("S1 a 0 a 0 X\n.model X SW(Ron=1 Roff=1Meg Vt=1 Vh=-.2)", "opens gradually"),
         ("S1 a 0 a 0 X\n.model X SW(Ron=1 Roff=1Meg Ilimit=1)", "ilimit of a switch"),
         ("B1 a 0 I=V(a) laplace=1/(1+s)", "laplace of a behavioural source"),
-        ("D1 a 0 X\n.model X ako:Y D()", "no model to begin with"),
-        ("A1 a 0 0 0 0 0 b 0 AND", "a device of LTspice's own"),
-        ("I1 a 0 1 load", "a load without current at 0 V"),
+        ("D1 a 0 X\n.model X ako:Y D()", "the base model of this model is missing"),
+        ("A1 a 0 0 0 0 0 b 0 AND", "an A device of LTspice"),
+        ("I1 a 0 1 load", "a current source with the option `load`"),
     ],
 )
 def test_constructs_without_an_equivalent_are_rejected_with_their_line(card, message):

@@ -257,7 +257,7 @@ def test_without_the_pin_a_netlist_has_no_heat():
 
 
 def test_a_deck_neglects_differences_of_temperature_instead_of_heating():
-    for heat, words in ((True, "part: differences of temperature"), (False, "heating by its own")):
+    for heat, words in ((True, "part: temperature differences"), (False, "heating by its own")):
         scene, _ = driven("disc", heat=heat)
         text = " ".join(kc.deck(scene).files["warm.cir"].replace("\n*", "").split())
         assert words in text

@@ -84,7 +84,7 @@ def test_the_advice_about_a_missing_ground_shorts_no_output(subckt, tmp_path):
 
 def test_a_default_join_of_a_reference_pin_is_a_note(tmp_path, cli):
     path = bridge(tmp_path, "referenced")
-    note = "ref of amp is joined to gnd by default"
+    note = "ref of amp is connected to gnd by default"
     details = {part["part"]: part["detail"] for part in kc.run(path).record["plan"]["parts"]}
     assert note in details["amp"]
     text = " ".join(cli("explain", str(path), "--set", "amp.pins.ref=gnd").stdout.split())

@@ -64,12 +64,12 @@ SECOND = {"part": "source", "sine": {"amplitude": 1.0, "frequency": 333.0}}
 LOAD = {"part": "resistor", "resistance": 1.0, "pins": {"a": "h.out"}}
 BAD_WINDOWS = (
     ({"periods": 20}, {}, "longer than the run", None),
-    ({"periods": 2, "from": "1 ms"}, {}, "periods cannot be combined with from or to", None),
+    ({"periods": 2, "from": "1 ms"}, {}, "`periods` cannot be combined with `from` or `to`", None),
     ({"from": "5 ms", "to": "1 ms"}, {}, "the window is empty", None),
     (
         {"from": "5 ms", "at": "6 ms", "take": "value"},
         {},
-        "at cannot be combined with a window",
+        "`at` cannot be combined with `from`, `to` or `periods`",
         None,
     ),
     ({"to": "70 ms"}, {}, "outside of the range of the analysis", None),
@@ -275,6 +275,6 @@ def test_probes_read_densities_at_their_frequency():
         "probes": {"at": {"of": "noise", "at": "170 Hz"}},
     }
     density = np.sqrt(4 * 1.380649e-23 * 300.15 * R) / abs(1 + 2j * np.pi * 170 * R * C)
-    with pytest.warns(UserWarning, match="noise against every second frequency"):
+    with pytest.warns(UserWarning, match="change of the rms noise without every second frequency"):
         found = kc.run(load_scene(scene)).metrics
     assert found["at"] == pytest.approx(density, rel=1e-4)

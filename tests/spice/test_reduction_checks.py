@@ -68,7 +68,7 @@ def test_a_run_reports_a_large_error_of_the_reduced_body(tmp_path, order, code, 
     done = command(tmp_path, SCENE + rom + analysis, "run", "--json", "--quiet")
     assert done.exit_code == code, done.output
     if action == "fail":
-        assert "reduction of bar" in done.stderr
+        assert "error of the reduced model of bar" in done.stderr
     else:
         (check,) = (c for c in json.loads(done.stdout)["checks"] if "reduction" in c["name"])
         assert not check["passed"]
@@ -104,15 +104,15 @@ def test_a_sharp_resonance_that_is_off_fails_no_pulse(tmp_path, order, code):
     text = SCENE.replace(SINE, PULSE) + rom
     done = command(tmp_path, text + AC, "run", "--json", "--quiet")
     assert done.exit_code == 5
-    assert "reduction of bar" in done.stderr
+    assert "error of the reduced model of bar" in done.stderr
     text += TRANSIENT.replace("20 us", "60 us")
     done = command(tmp_path, text, "run", "--json", "--quiet")
     assert done.exit_code == code, done.output
     if code:
-        assert "reduction of bar" in done.stderr
+        assert "error of the reduced model of bar" in done.stderr
         assert "rom.order = 2" in done.stderr
         return
-    assert "under the loads of this run a model of 2 states has an error of" in done.stderr
+    assert "under the loads of this run, a model with 2 states has an error of" in done.stderr
     assert "the run is repeated with bar.rom.order = " in done.stderr
     waves = np.load(tmp_path / "out" / "waveforms.npz")
     time = np.unique(waves["time"])
@@ -187,7 +187,7 @@ def test_a_contact_that_the_default_reduction_misses_runs_again_with_more_states
     assert "the run is repeated with bar.rom.order = 10" in done.stderr
     record = json.loads(done.stdout)
     (check,) = (c for c in record["checks"] if c["name"] == "reduction of bar")
-    assert check["unit"].endswith("under the run's own loads")
+    assert check["unit"].endswith("under the loads of the run")
     assert 0.01 < check["value"] < 0.1
     waves = np.load(tmp_path / "out" / "waveforms.npz")
     time = np.unique(waves["time"])
@@ -213,7 +213,7 @@ def test_a_run_reports_an_unstable_body(tmp_path):
     found = json.loads(done.stdout)
     (check,) = (c for c in found["checks"] if c["name"] == "stability of bar")
     assert not check["passed"]
-    assert "grow" in check["advice"]
+    assert "unstable modes" in check["advice"]
     assert found["rom"]["stable"] is False
 
 

@@ -152,7 +152,7 @@ def test_a_part_without_equations_is_named(tmp_path):
         'least = { of = "body.current", take = "min" }\n'
     )
     with (
-        pytest.warns(UserWarning, match="own has no equations"),
+        pytest.warns(UserWarning, match="no equations for the part own"),
         pytest.warns(UserWarning, match=r"minimum of body.current is searched only at"),
     ):
         found = kc.run(tmp_path / "s.toml")
@@ -252,7 +252,7 @@ largest = {{ of = "air.flow", take = "max" }}
 """
 
 
-@pytest.mark.filterwarnings("error", "ignore:.*is not a piston")
+@pytest.mark.filterwarnings("error", "ignore:.*does not move like a piston")
 def test_a_face_that_drives_masses_of_fluid_has_its_resonance(scene_file):
     """The fluid moves with the face, so its masses have no motion of their own.
 

@@ -52,7 +52,7 @@ def test_failures_that_no_tolerance_prevents_are_not_repeated(scene, loop, model
         far = waves.data | {"sphere.y": waves["sphere.y"] + 1.0}
         return form_verdict(dataclasses.replace(waves, data=far), built(scene, model, table))
 
-    with pytest.raises(RetriesFailedError, match="table left") as caught:
+    with pytest.raises(RetriesFailedError, match="outside the force table") as caught:
         run_with_retries(loop, tmp_path, batch(tmp_path), retries=3, judge=beyond)
     assert len(caught.value.attempts) == 1
 

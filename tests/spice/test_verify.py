@@ -108,15 +108,16 @@ def test_each_solution_is_compared_with_both_others(wrong, tmp_path, monkeypatch
     assert pairs == {
         f"static force, {words}": wrong not in pair
         for pair, words in {
-            ("rom", "fom"): "ROM to full model", ("ngspice", "rom"): "ngspice to ROM",
-            ("ngspice", "fom"): "ngspice to full model",
+            ("rom", "fom"): "ROM versus full model", ("ngspice", "rom"): "ngspice versus ROM",
+            ("ngspice", "fom"): "ngspice versus full model",
         }.items()
     }  # fmt: skip
     assert record["passed"] is (wrong == "nothing")
     names = " ".join(check["name"] for check in record["checks"])
-    for words in ("ROM to full model, at", "netlist to ROM, all ports", "capacitance of anode",
-                  "charge by loads of anode", "ROM, growth of its poles", "ROM, active power",
-                  "netlist, active power", "netlist, reciprocity"):  # fmt: skip
+    for words in ("ROM versus full model, at", "netlist versus ROM, all ports",
+                  "capacitance of anode", "charge of anode due to loads on other ports",
+                  "ROM, largest relative growth rate of its poles", "ROM, passivity",
+                  "netlist, passivity", "netlist, reciprocity"):  # fmt: skip
         assert f"kick: {words}" in names
 
 
@@ -217,7 +218,7 @@ def test_a_signal_that_drives_a_load_is_taken_from_ngspice(tmp_path):
     record = verify_scenes([scene], tmp_path / "out")["scenes"]["heard"]
     assert record["passed"], failed(record)
     assert record["left_out"] == ["filter"]
-    assert "left out: filter (its signal drives a load, " in record["notes"][0]
+    assert "omitted: filter (its signal drives a load, " in record["notes"][0]
 
 
 @pytest.mark.parametrize(

@@ -38,7 +38,7 @@ def test_verify_doubles_the_branches_of_a_film(tmp_path, branches, code):
     done = CliRunner().invoke(app, words)
     assert done.exit_code == code, done.output
     checks = {c["name"]: c for c in json.loads(done.stdout)["checks"]}
-    (film,) = (c for name, c in checks.items() if "the film's branches" in name)
+    (film,) = (c for name, c in checks.items() if "gas-film branches" in name)
     assert film["passed"] is (code == 0)
     assert (film["value"] > 0.05) is (code == 4)
 
@@ -68,7 +68,7 @@ def test_verify_counts_in_time_the_films_error_at_the_frequencies_of_the_run(
     (film,) = (c for c in record["checks"] if "branches of the film" in c["name"])
     assert film["passed"] is passed
     assert (film["value"] > 0.05) is not passed
-    assert any("not solved in time with a finer discretisation" in n for n in record["notes"])
+    assert any("not in the time domain" in n for n in record["notes"])
 
 
 # --- every key that divides a part into pieces ----------------------------------------------------
@@ -108,7 +108,8 @@ def test_verify_halves_the_mesh_of_a_body(refine, passed, tmp_path, monkeypatch)
     monkeypatch.setitem(MESH_QUANTITIES, "resonance", stricter)
     scene = load_scene(DISC, {"disc.mesh.refine": refine})
     record = verify.verify_scenes([scene], tmp_path / "out")["scenes"][scene.name]
-    (found,) = (c for c in record["checks"] if "half as wide, first resonance" in c["name"])
+    words = "half the element size, first resonance"
+    (found,) = (c for c in record["checks"] if words in c["name"])
     assert found["passed"] is passed
     assert {"capacitance", "stroke"} <= {c["name"].split(", ")[-1] for c in record["checks"]}
     hertz = [
@@ -125,8 +126,9 @@ def test_a_mesh_that_is_too_large_to_halve_is_noted(tmp_path, monkeypatch):
     monkeypatch.setattr(verify, "MAX_FINER_UNKNOWNS", 100)
     scene = load_scene(DISC)
     record = verify.verify_scenes([scene], tmp_path / "out")["scenes"][scene.name]
-    assert not any("half as wide" in check["name"] for check in record["checks"])
-    (note,) = (note for note in record["notes"] if note.startswith("disc: no mesh half as wide"))
+    assert not any("half the element size" in check["name"] for check in record["checks"])
+    start = "disc: no mesh with half the element size"
+    (note,) = (note for note in record["notes"] if note.startswith(start))
     assert re.search(r"\(\d+ unknowns, more than 400\); error estimate of its mesh", note)
 
 
@@ -143,9 +145,10 @@ def test_verify_has_more_heights_of_a_field_in_time(positions, passed, tmp_path)
     """A spline through five heights misses the field between them, and with it the flight."""
     scene = load_scene(FLIGHT, {"catch.positions": positions})
     record = verify.verify_scenes([scene], tmp_path / "out")["scenes"][scene.name]
-    (flight,) = (c for c in record["checks"] if "times the positions of catch" in c["name"])
+    (flight,) = (c for c in record["checks"] if "times as many catch.positions" in c["name"])
     assert flight["passed"] is passed
-    meshes = {c["name"]: c for c in record["checks"] if "mesh of catch half as wide" in c["name"]}
+    words = "mesh of catch with half the element size"
+    meshes = {c["name"]: c for c in record["checks"] if words in c["name"]}
     assert all(check["passed"] for check in meshes.values())
     assert len(meshes) == 2
 
@@ -167,7 +170,7 @@ SHAKER = {
 def test_verify_has_a_closer_field_of_a_magnet_in_time(tolerance, passed, tmp_path):
     scene = load_scene(SHAKER, {"magnet.tolerance": tolerance})
     record = verify.verify_scenes([scene], tmp_path / "out")["scenes"][scene.name]
-    (height,) = (c for c in record["checks"] if "a tenth of its tolerance" in c["name"])
+    (height,) = (c for c in record["checks"] if "ten times smaller tolerance" in c["name"])
     assert height["passed"] is passed
 
 

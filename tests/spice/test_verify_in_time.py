@@ -23,7 +23,7 @@ SCENE = {
 def test_too_few_branches_of_a_film_fail_in_time(tmp_path, branches, passed):
     scene = load_scene(SCENE, {"plate.film.branches": branches})
     record = module.verify_scenes([scene], tmp_path / "out")["scenes"]["film"]
-    (film,) = (c for c in record["checks"] if "times the film's branches" in c["name"])
+    (film,) = (c for c in record["checks"] if "times as many gas-film branches" in c["name"])
     assert film["passed"] is passed
     assert (film["value"] > 0.05) is not passed
     assert not any("not solved in time" in note for note in record["notes"])

@@ -51,7 +51,7 @@ def exact_voltages(sections, times):
 
 def step_check(result):
     """Deviation of the waves from the exact motion, as the run states it."""
-    return next(c for c in result.checks if c.name == "steps against the exact motion")
+    return next(c for c in result.checks if c.name == "time steps compared with the exact solution")
 
 
 def test_slow_relaxations_beside_fast_ones_are_no_rigid_motions():

@@ -30,9 +30,9 @@ FLUID = (branch("volume_velocity"),)
 MISTAKES = {
     "an unknown key": (HEAT, "coenergy", "0.5*h*temperature^2", "unknown name", "add the key `h`"),
     "energy of a temperature": (HEAT, "energy", "g*temperature^2", "must not depend on temperature",
-                                "in coenergy, and losses in content"),
+                                "`coenergy`, and losses into `content`"),
     "loss in the coenergy": (MOTION, "coenergy", "g*x_rate^2", "must not depend on x_rate",
-                             "in content"),
+                             "into `content`"),
     "a broken power": (HEAT, "content", "g*temperature^2.5", "content of part: the exponent",
                        "exp(2.5*ln(temperature))"),
     "an absolute value": (HEAT, "content", "g*abs(temperature)", "declarations.md", "max(0, -x)"),
@@ -57,12 +57,12 @@ def test_a_mistake_in_a_declaration_names_its_remedy(name):
 def test_energy_of_a_velocity_belongs_to_a_mass():
     with pytest.raises(kc.errors.UsageError, match="must not depend on x_rate") as caught:
         Declaration("part", "a part", Keys, MOTION, energy="g*x_rate^2")
-    assert "mass in kinetic" in caught.value.hint
+    assert "mass into `kinetic`" in caught.value.hint
 
 
 @pytest.mark.parametrize("branches", [branch("angle"), ("angle",), "x", [MOTION], None])
 def test_branches_that_are_no_tuple_are_an_error(branches):
-    with pytest.raises(kc.errors.UsageError, match="not a tuple of branches") as caught:
+    with pytest.raises(kc.errors.UsageError, match="not a tuple of Branch objects") as caught:
         Declaration("part", "a part", Keys, branches, content="g")
     assert "comma" in caught.value.hint
 
@@ -153,3 +153,18 @@ def test_the_page_states_the_units_of_key_types():
     for name, unit in units:
         number = TypeAdapter(getattr(quantities, name)).validate_python
         assert number(f"3 {unit}" if unit != "1" else "3") == 3.0
+
+
+@pytest.mark.parametrize("name", ["spring", "disc", "relay"])
+def test_a_name_of_a_built_in_part_type_is_not_replaced(name, monkeypatch):
+    """The proposed name works, and may be registered again."""
+    monkeypatch.setattr(parttype, "_types", dict(parttype._types))
+    monkeypatch.setattr(parttype, "_own_names", set(parttype._own_names))
+    declaration = Declaration(name, "a part", Keys, MOTION, content="g*x_rate^2")
+    with pytest.raises(kc.errors.UsageError, match="a built-in part type has this name") as caught:
+        kc.register_part(DeclaredPart(declaration))
+    proposed = caught.value.hint.split()[-1]
+    assert proposed == f"my_{name}"
+    for _ in range(2):
+        part = DeclaredPart(Declaration(proposed, "a part", Keys, MOTION, content="g*x_rate^2"))
+        assert kc.register_part(part) is part

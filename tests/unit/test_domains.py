@@ -45,7 +45,7 @@ def test_the_power_on_a_pin_is_in_watts(domain):
             assert product(across, through, "1/s") == WATT
         case "through":
             assert dimension(through) == WATT
-        case "velocity of the frame * through":
+        case "frame velocity * force":
             assert product("m/s", through) == WATT
             assert product(across, "s") == dimension("m/s")
         case other:

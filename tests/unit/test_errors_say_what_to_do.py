@@ -84,7 +84,7 @@ def test_parasitics_of_ltspice_are_named_with_the_line(said, tmp_path):
     assert code == 2
     assert "amp.lib:4" in message
     assert "got: rser=0.5 of L1" in message
-    assert "write the R in series as a card of its own and leave rser out" in message
+    assert "write the R in series as a separate element and delete rser" in message
 
 
 def test_a_card_that_ngspice_cannot_read_is_quoted(said, tmp_path):
@@ -230,7 +230,7 @@ def test_a_file_that_does_not_exist(cli, tmp_path):
     done = cli("run", "my_buzer.toml")
     assert done.exit_code == 2
     assert "my_buzer.toml: this file does not exist" in done.stderr
-    assert "did you mean 'my_buzzer'?" in done.stderr
+    assert "did you mean 'my_buzzer.toml'?" in done.stderr
     assert "loudspeaker" not in done.stderr
 
 

@@ -31,10 +31,13 @@ def test_joined_pins_share_a_net(scene_file):
     assert scene.get_net("upper", "b") == scene.get_net("lower", "a") != scene.get_net("upper", "a")
     assert scene.get_net("lower", "b") == scene.get_net("supply", "ret") == "0"
     assert describe_nets(scene) == (
-        "supply.out -- upper.a",
+        "voltage: supply.out, upper.a",
         "gnd: supply.ret, lower.b",
-        "upper.b -- lower.a",
+        "voltage: upper.b, lower.a",
     )
+    nets = describe_nets(load_scene("kick_and_catch"))
+    assert "velocity: contact.v, sphere.v, catch.v" in nets
+    assert "displacement: kick.ring0, contact.ring0" in nets
 
 
 def test_connections_apply_in_both_directions_and_through_other_pins():
@@ -105,7 +108,8 @@ MISTAKES = {
     ),
     "pins of different kinds": (
         DIVIDER + MASS + 'pins = { a = "upper.b" }\n',
-        21, "weight.pins.a", ["different kinds", "weight.a is a pin in um/N, upper.b a pin in V/A"],
+        21, "weight.pins.a",
+        ["different kinds", "weight.a is a pin of kind um/N, upper.b is of kind V/A"],
     ),
     "two ideal sources in parallel": (
         DIVIDER + SECOND + 'pins = { out = "upper.a" }\n',
@@ -127,11 +131,11 @@ MISTAKES = {
     ),
     "two bodies that say where they are": (
         '[one]\npart = "sphere"\n[two]\npart = "sphere"\npins = { y = "one.y" }\n',
-        5, "two.pins.y", ["two outputs prescribe the same net"],
+        5, "two.pins.y", ["two signal outputs drive the same net"],
     ),
     "a body that says where ground is": (
         '[one]\npart = "sphere"\npins = { y = "gnd" }\n',
-        3, "one.pins.y", ["two outputs prescribe the same net"],
+        3, "one.pins.y", ["two signal outputs drive the same net"],
     ),
     "names that differ in letter case only": (
         DIVIDER + '\n[Lower]\npart = "resistor"\nresistance = 1.0\npins = { a = "lower.a" }\n',

@@ -36,7 +36,7 @@ def test_a_bound_is_rounded_upwards(error, written):
     assert first == f"* rom: order=7 band=0.0..500000.0 Hz norm=pointwise error={written}"
     assert second.startswith("*   (residual; emitted circuit")
     told = "\n".join(lines).replace("\n*   ", " ")
-    assert told.endswith("which a contact or a steep edge can excite")
+    assert told.endswith("above the band, where a contact or a steep edge can excite modes")
 
 
 def test_a_head_has_an_instance_to_copy_and_lines_of_100_characters():

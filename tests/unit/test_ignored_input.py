@@ -91,7 +91,7 @@ def test_a_list_with_si_numbers_and_units_causes_a_warning(cli):
     word = ("sweep", "own.toml", "--dry-run", "--set")
     done = cli(*word, "load.resistance=1 kOhm,2")
     assert done.exit_code == 0
-    assert "write 1 kOhm,2 kOhm if all values have the same unit" in done.stderr
+    assert "if all values have the same unit, write 1 kOhm,2 kOhm" in done.stderr
     assert "warning" not in cli(*word, "load.resistance=1 kOhm,2 kOhm").stderr
 
 
@@ -108,7 +108,7 @@ def test_a_list_with_si_numbers_and_units_causes_a_warning(cli):
          "leave out --zip"),
         ("--set load.resistance=5", "no option --set contains a range",
          "write --set load.resistance=FIRST:LAST:POINTS in place of --set load.resistance=5"),
-        ("--set 'load.resistance=1 kOhm;2 kOhm'", "separated by semicolons",
+        ("--set 'load.resistance=1 kOhm;2 kOhm'", "has semicolons between its values",
          "write 1 kOhm,2 kOhm"),
         ("--set load.resistance=random(1,2,3)", "the distribution random does not exist",
          "write uniform(1,2,3)"),
@@ -219,7 +219,7 @@ def test_an_error_about_a_mistyped_node_names_the_similar_node(deck):
     assert found["next"].startswith("did you mean 'mid'?")
     Path("amp.lib").write_text(AMPLIFIER.replace(".ends", "R3 mid q 5\n.ends"))
     found = rows(deck("export", "own.toml").stderr)
-    assert "rename it to nc_q if it is to be free" in found["next"]
+    assert "rename q to nc_q if the node is intentionally unconnected" in found["next"]
     Path("amp.lib").write_text(AMPLIFIER.replace(".ends", "R3 mid nc_q 5\n.ends"))
     assert deck("export", "own.toml").exit_code == 0
 

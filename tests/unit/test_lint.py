@@ -75,7 +75,7 @@ BAD = [
     ("V1 in 0 1\nF1 in 0 V9 2", "no such", "test.cir:4"),
     ("V1 in 0 1\nS1 in 0 in 0 quick", "no such model", "test.cir:4"),
     ("V1 in 0 1\nZ1 in 0 in quick", "no such model", "test.cir:4"),
-    ("V1 in 0 1\nB1 in 0 I=V(in)^3", "odd powers of the absolute value", "test.cir:4"),
+    ("V1 in 0 1\nB1 in 0 I=V(in)^3", "odd powers from the absolute value", "test.cir:4"),
     ("V1 in 0 1\n+ \nB1 in 0 I={V(in)*(2}", "not an expression", "test.cir:5"),
     ("V1 in 0 1\nB1 in 0 I={limit(V(in),0,1)}", "ngspice has no such function", "test.cir:4"),
     (".param a={b*2}\nV1 in 0 {a}\nR1 in 0 1", "no such parameter", "test.cir:3"),
@@ -103,23 +103,23 @@ def test_wrong_wiring_is_named(cards, message, where):
 def test_a_missing_include_suggests_no_file_that_includes_it():
     text = "* title\n.include divider.lib\n.end\n"
     more = {"divider.lib": ".include divider2.lib\n", "op.inc": "* nothing\n"}
-    with pytest.raises(UsageError, match="included file is not there") as caught:
+    with pytest.raises(UsageError, match="included file not found") as caught:
         require_valid_wiring(Deck(name="test", text=text, more=more))
     assert caught.value.expected == "one of op.inc"
-    assert caught.value.hint == "copy divider2.lib beside the netlist"
+    assert caught.value.hint == "copy divider2.lib into the folder of the netlist"
 
 
 @pytest.mark.parametrize(
     ("cards", "message"),
     [
-        (".include other.lib", "included file is not there"),
+        (".include other.lib", "included file not found"),
         ("V1 in 0 1\nR1 in", "element is not complete"),
         ("Yo in 0 1", "unknown kind of element"),
         (".subckt open a b\nR1 a b 1", "this subcircuit has no end"),
-        (".subckt divider a b\nR1 a b 1\n.ends", "two subcircuits have one name"),
+        (".subckt divider a b\nR1 a b 1\n.ends", "two subcircuits have the same name"),
         (".subckt twice a a\nR1 a 0 1\n.ends", "the pin a stands twice"),
         (".ends", ".ends without .subckt"),
-        (".include divider.lib\n.include test.cir", "two subcircuits have one name"),
+        (".include divider.lib\n.include test.cir", "two subcircuits have the same name"),
         (".include test.cir", "a file includes itself"),
     ],
 )

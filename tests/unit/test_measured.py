@@ -293,7 +293,7 @@ def test_open_and_short_circuits_are_refused_without_a_warning(tmp_path):
             table(tmp_path / "z.csv", "f_hz,r_ohm,x_ohm", F, gone.real, gone.imag),
             "impedance of zero",
         ),
-        (apart, "first into port 2"),
+        (apart, "for example into port 2"),
     ]
     with warnings.catch_warnings():
         warnings.simplefilter("error")

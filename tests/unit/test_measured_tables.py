@@ -105,7 +105,7 @@ def test_commas_between_thousands_and_before_decimals(tmp_path):
     [
         ("freq (mhz),R (Ohm),X (Ohm)", "'mhz' may mean MHz or mHz"),
         ("freq (rpm),R (Ohm),X (Ohm)", "'freq .rpm.'|'rpm' is no unit"),
-        ("freq (Hz),R (deg),X (Ohm)", r"column 'R \(deg\)': 'deg' is no unit of impedance"),
+        ("freq (Hz),R (deg),X (Ohm)", r"column 'R \(deg\)': 'deg' is not a unit of impedance"),
         ("freq (Hz),Trace A Real,Trace A Imag", "unknown columns: 'Trace A Real', 'Trace A Imag'"),
         ("freq (Hz),s11,phase (deg)", "column 's11' has no unit"),
         ("freq (Hz),R (Ohm)", "separated like the 3 columns"),
@@ -168,16 +168,16 @@ def test_noise_is_that_of_the_measured_quantity(tmp_path):
     path.write_text("# Hz S RI R 50\n" + lines(F, noisy.real, noisy.imag, separator=" "))
     found = read_measured(path)
     assert found.quantity == "S"
-    assert found.measured_noise == pytest.approx(1e-3, rel=0.15)
+    assert found.estimated_noise == pytest.approx(1e-3, rel=0.15)
     many = S + 1e-5 * noise(2000, 400)
     spread = np.std(((1 - many) / (1 + many)).real, axis=0) / 50 / 1e-5
-    assert found.admittance_noise[:, 0, 0] / found.measured_noise == pytest.approx(spread, rel=0.3)
+    assert found.admittance_noise[:, 0, 0] / found.estimated_noise == pytest.approx(spread, rel=0.3)
     path = tmp_path / "z.csv"
     noisy = Z * (1 + 1e-3 * noise(400))
     path.write_text("f_hz,r_ohm,x_ohm\n" + lines(F, noisy.real, noisy.imag))
     found = read_measured(path)
-    assert found.measured_noise == pytest.approx(1e-3, rel=0.15)
-    assert found.noise == pytest.approx(found.measured_noise, rel=1e-6)
+    assert found.estimated_noise == pytest.approx(1e-3, rel=0.15)
+    assert found.noise == pytest.approx(found.estimated_noise, rel=1e-6)
     f = F[:60]
     two = 50 * np.array([[1.0, 0.3], [0.3, 2.0]]) + 1j * f[:, None, None] * np.eye(2) * 1e-3
     S2 = skrf.network.z2s(two, 50.0)
@@ -185,7 +185,7 @@ def test_noise_is_that_of_the_measured_quantity(tmp_path):
     skrf.Network(f=f, s=S2, z0=50, f_unit="hz").write_touchstone(str(path), form="ri")
     found = read_measured(path)
     many = skrf.network.s2y(np.tile(S2[:1], (4000, 1, 1)) + 1e-5 * noise(4000, 2, 2), 50.0)
-    spread = np.std(many.real, axis=0) / 1e-5 * found.measured_noise
+    spread = np.std(many.real, axis=0) / 1e-5 * found.estimated_noise
     assert found.admittance_noise[0] == pytest.approx(spread, rel=0.1)
 
 
@@ -197,7 +197,7 @@ def test_the_command_prints_its_interpretation_of_the_file(tmp_path):
     text = " ".join(done.output.split())
     for words in ("f [Hz] from 'f'", "-X [Ohm] from '-X (Ohm)'", "400 points from 1000 to 100000"):
         assert words in text
-    assert "note: f: no unit, taken as Hz" in text
+    assert "note: f: no unit; Hz is assumed" in text
 
 
 def test_a_misfit_beyond_noise_ends_without_a_model(tmp_path):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from support import (
     BuiltScene,
+    Metrics,
     Waveforms,
     add_results_and_sources,
     compute_metrics,
@@ -39,9 +40,19 @@ def edge(waves: Waveforms) -> tuple[float, float] | None:
     return find_separation(waves["time"], waves["contact.force"], waves["sphere.v"])
 
 
-def of_scene(waves: Waveforms, name: str) -> dict[str, object]:
+def build_scene(name: str) -> BuiltScene:
+    """Return a gallery scene with the list of its results, without models."""
+    return add_results_and_sources(BuiltScene(load_scene(name), {}))
+
+
+def find_metrics(waves: Waveforms, name: str) -> Metrics:
     """Metrics of the parts of a gallery scene, without their models."""
-    return compute_metrics(waves, add_results_and_sources(BuiltScene(load_scene(name), {}))).values
+    return compute_metrics(waves, build_scene(name))
+
+
+def of_scene(waves: Waveforms, name: str) -> dict[str, object]:
+    """Values of the metrics."""
+    return find_metrics(waves, name).values
 
 
 def kick_times() -> np.ndarray:
@@ -95,6 +106,27 @@ def test_loop_metrics_of_a_caught_and_a_lost_sphere() -> None:
     assert lost["caught"] is False
     assert lost["settling_time_s"] is None
     assert lost["peak_height_m"] == pytest.approx(waves["sphere.y"].max())
+
+
+def test_a_rising_sphere_is_a_warning_unless_a_controller_has_caught_it() -> None:
+    t = kick_times()
+    waves = throw(t)
+    voltage = {"kick.voltage": 0 * t}
+    caught = 2.5e-3 - 1.5e-3 * np.exp(-np.maximum(0.0, t - LAUNCH) / 0.4e-3)
+    held = find_metrics(Waveforms(waves.data | {"sphere.y": caught}, {}), "kick_and_catch")
+    assert held.values["still_rising"] is True
+    assert held.warnings == {}
+    for scene in ("kick_and_catch", "half_bridge_kick"):
+        lost = find_metrics(Waveforms(waves.data | voltage, {}), scene)
+        assert lost.values["still_rising"] is True
+        assert lost.warnings["still_rising"].startswith("sphere is still rising at the end")
+    fallen = find_metrics(Waveforms(throw(30.0 * t).data | voltage, {}), "half_bridge_kick")
+    assert "still_rising" not in fallen.values
+    assert fallen.warnings == {}
+    weightless = Waveforms({"time": t, "sphere5.y": waves["sphere.y"], "sphere5.v": 1.0 + t}, {})
+    found = compute_metrics(weightless, build_scene("newtons_cradle"), partial=True)
+    assert found.values["still_rising"] is True
+    assert found.warnings == {}
 
 
 def test_impact_on_a_spring() -> None:

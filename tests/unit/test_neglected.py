@@ -79,7 +79,7 @@ stop = "10 kHz"
     rows = [row for row in part.type.notes(part, scene) if isinstance(row, NeglectedEffect)]
     sizes = {row.effect.partition(": ")[2]: row.error for row in rows}
     surface = 2 * np.pi * 10e-3 * (10e-3 + 0.42e-3)
-    assert f"{1e-3 / (10 * surface):.2g} K for each mW" in sizes["heating by its own losses"]
+    assert f"{1e-3 / (10 * surface):.2g} K per mW" in sizes["heating by its own losses"]
     assert "% lower" in sizes["load of the air"]
-    assert "um of epoxy" in sizes["glue between layers"]
+    assert "µm of epoxy" in sizes["glue between layers"]
     assert {"compliance of its mounting", "hysteresis, depolarisation"} <= set(sizes)

@@ -48,7 +48,7 @@ LIMITS = [
     (IMPRINT, "imprint.depth=0.99 mm", "imprint.depth=1 mm", "exceeds the radius of the sphere"),
     (PRESSED, "contact.spacing=62 um", "contact.spacing=62.5 um", "too large for the contact"),
     (PRESSED, "sphere.radius=251 um", "sphere.radius=250 um", "larger than the contact patch"),
-    (PRESSED, "contact.a=kick", "contact.a=kick.ring0", "without the name of a port"),
+    (PRESSED, "contact.a=kick", "contact.a=kick.ring0", "must name a piezo_stack, and no port"),
     (PRESSED, "gravity=0", "contact.law=hertz", "the key `law` cannot be combined"),
     (PRESSED, "gravity=0", "contact.groove=90", "the key `groove` cannot be combined"),
     (LOOP, "contact.damping=0", "contact.damping=-1e-9", "out of range"),
@@ -56,7 +56,7 @@ LIMITS = [
     # magnets: coils of 2 mm at 1 and 3 mm touch; 25 um fill a section of 2 mm2 4074 times
     (EM, "catch.turns=4110", "catch.turns=4120", "do not fit"),
     (EM, "catch.remanence=1.6", "catch.remanence=1.61", "permanent magnet"),
-    (EM, "catch.air_radius=1 m", "catch.air_radius=1.01 m", "fourth power"),
+    (EM, "catch.air_radius=1 m", "catch.air_radius=1.01 m", "cube of the distance"),
     (EM, "catch.lower.inner=1.001 mm", "catch.lower.inner=1 mm", "does not fit through"),
     (EM, "catch.ring.inner=4.999 mm", "catch.ring.inner=5 mm", "inner is not smaller than outer"),
     (EM, "catch.air_height=8.6 mm", "catch.ring.height=30 mm", "beyond the modelled air"),

@@ -94,3 +94,26 @@ def test_every_key_has_a_description_that_stands_alone():
         where = f"{name}.{key.name}: {key.doc!r}"
         assert len(key.doc.split()) > 2, where
         assert not key.doc.lower().startswith(prepositions), where
+
+
+def test_pins_that_a_key_adds_are_listed_with_the_key(docs, cli):
+    shown = cli("scenes", "--part", "disc").stdout
+    pins = shown.partition("\nPins")[2].partition("\nKeys\n")[0].splitlines()
+    rows = {line.split()[0]: " ".join(line.split()[1:]) for line in pins if line.strip()}
+    assert rows["feedback"] == "layers.feedback"
+    assert rows["pin"] == "added by the key"
+    assert rows["centre"] == "displacement [µm] force [N] open"
+    assert "feedback" in shown
+    for name, doc in docs.items():
+        assert not doc.optional_pins.keys() & {pin.name for pin in doc.pins}, name
+    disc = docs["disc"].optional_pins
+    scene = load_scene("alarm_3v")  # a disc with a feedback electrode and a radiating face
+    pins = {pin.name for pin in scene.pins("disc")} - {pin.name for pin in docs["disc"].pins}
+    assert pins == {"feedback", "front_face", "ambient"}
+    assert pins <= disc.keys()
+    assert disc["feedback"] == "layers.feedback"
+    woofer = {pin.name for pin in load_scene("loudspeaker_vented").pins("woofer")}
+    listed = {pin.name for pin in docs["loudspeaker"].pins} | docs[
+        "loudspeaker"
+    ].optional_pins.keys()
+    assert woofer <= listed

@@ -41,7 +41,7 @@ BODIES = [
     (slips(drive="80 kV"), "drive", "8e+04 V at disc", "depolarises"),
     (slips(drive="8 kV", rated_voltage="0.5 kV"), "drive", "stands 500 V", "depolarises"),
     ({"name": "heavy", "box": {"part": "mass", "mass": 5.68e6, "pins": {"a": "hold.a"}},
-      "hold": {"part": "spring", "stiffness": 1.0}}, "box.mass", "5.68e+06 kg", "more than a ton"),
+      "hold": {"part": "spring", "stiffness": 1.0}}, "box.mass", "5.68e+06 kg", "above a tonne"),
     ({"name": "long", "beam": {"part": "bimorph", "length": 30.0, "width": "5 mm", "layers": [
         {"material": "PZT-5A", "thickness": "0.3 mm"}] * 2}}, "beam.length", "30 m", '"30 mm"'),
 ]  # fmt: skip

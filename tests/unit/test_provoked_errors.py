@@ -1,13 +1,14 @@
 """Mistakes on the command line, in scenes, files and Python calls, with the advice for each."""
 
 import json
+import shlex
 from pathlib import Path
 
 import numpy as np
 import pytest
-from messages import rows
+from messages import fails, rows
 from small_scenes import DISC, DIVIDER, LAMP, RESISTOR
-from support import Check, format_summary, parse_toml, require_passed
+from support import Check, did_you_mean, format_summary, parse_toml, require_passed
 
 import kc2spice as kc
 
@@ -58,9 +59,9 @@ stop = "1 kHz"
         ("run impact --verbos", "run: this option does not exist", "--verbos",
          "did you mean '--verbose'?"),
         ("run impact --nope=3", "run: this option does not exist", "--nope", "kc2spice run --help"),
-        ("run impact --deck", "--deck: the value is missing", "--deck", "write FILE behind --deck"),
+        ("run impact --deck", "--deck: the value is missing", "--deck", "write FILE after --deck"),
         ("reduce x.K --band 1", "--band: this option needs 2 values", "--band 1",
-         "write F0 F1 behind --band"),
+         "write F0 F1 after --band"),
         ("run impact --json=yes", "--json: this option takes no", "--json=yes", "write --json"),
         ("run impact more", "run: the command line has one argument too many", "more",
          "delete more"),
@@ -268,13 +269,11 @@ def test_a_mistake_in_an_entry_of_a_list(cli, line, otherwise, place, advice):
 @pytest.mark.parametrize(
     ("text", "got", "advice"),
     [
-        (
-            "freq,a\n{}",
-            "contain no complete impedance; unknown columns: 'a'",
-            "frequency_hz,real_ohm",
-        ),
+        ("freq,a\n{}", "only one column of values", "the phase or the imaginary part"),
+        ("frequency_hz,real_ohm,imag_ohm\n{}", "only one column of values", "a second column"),
+        ("{}", "only one column of values", "the phase or the imaginary part"),
         ("frequency [Hz],|Z| [Ohm]\n{}", "only one half of a complex impedance", "column of phase"),
-        ("", "the file is empty", "frequency_hz,real_ohm"),
+        ("", "the file is empty", "export the measurement again"),
         ("freq,a\n1,2\n", "below the first line 'freq,a'", "frequency_hz,real_ohm"),
     ],
 )
@@ -289,8 +288,8 @@ def test_a_table_that_is_no_impedance(cli, text, got, advice):
 @pytest.mark.parametrize(
     ("table", "head", "advice"),
     [
-        ("", "this port has no place", "column = 1"),
-        ('kind = "output"\ncolumn = 1', "a row, not a column", "row = 1"),
+        ("", "this port has neither nodes nor a matrix column or row", "column = 1"),
+        ('kind = "output"\ncolumn = 1', "the key `row`, not `column`", "row = 1"),
         ("node = 1", "this port has no direction", 'axis = "z"'),
         (
             'node = 1\ndof = "volts"',
@@ -405,8 +404,11 @@ def test_an_edited_deck_without_analysis_or_library(cli, tmp_path):
     done = cli("run", "impact", "--deck", str(deck))
     assert "gone.lib: No such file or directory" in done.stderr
     assert f"copy gone.lib to {tmp_path}" in done.stderr
-    deck.write_text("title\nR1 a 0 1k\n.end\n")
-    done = cli("run", "impact", "--deck", str(deck))
+    assert cli("export", "duffing", "--out", "d").exit_code == 0
+    text = (tmp_path / "d" / "duffing.cir").read_text()
+    deck.write_text("".join(x for x in text.splitlines(True) if not x.startswith(".tran")))
+    (tmp_path / "d" / "deck.cir").write_text(deck.read_text())
+    done = cli("run", "duffing", "--deck", "d/deck.cir")
     assert "this deck contains no analysis" in done.stderr
 
 
@@ -420,10 +422,18 @@ def test_an_unknown_method_has_five_candidates():
 
 
 def test_a_failed_check_names_value_and_limit_with_prefixes():
-    check = Check("table_left", 0.0316734, 0.0, "m", "lower y_min", "fail")
+    check = Check(
+        "table_left",
+        0.0316734,
+        0.0,
+        "m",
+        "lower y_min",
+        "fail",
+        label="height outside the force table",
+    )
     with pytest.raises(kc.errors.SimulationError) as caught:
         require_passed((check,), "kick_and_catch")
-    assert "a check of the result failed: table left" in str(caught.value)
+    assert "a check of the result failed: height outside the force table" in str(caught.value)
     assert "got:      31.7 mm" in str(caught.value)
 
 
@@ -530,7 +540,7 @@ stiffness = "1 N/m"
     )
     found = rows(cli("run", "own.toml").stderr)
     assert "joins pins of different kinds" in found["head"]
-    assert found["expected"] == "gnd, or a pin in um/N: spring.a, spring.b"
+    assert found["expected"] == "gnd, or a pin of kind um/N: spring.a, spring.b"
     assert found["next"] == 'write  a = "spring.a"'
 
 
@@ -549,12 +559,15 @@ def test_a_damaged_file_of_data(cli, name, content, head, advice):
 
 
 def test_a_failed_check_begins_with_its_cause():
-    advice = "the sphere left the field table: raise catch.y_max to 9 mm"
-    check = Check("table_left", 1e-3, 0.0, "m", advice, "fail")
+    cause = "the sphere moved outside the height range of the force table"
+    advice = f"{cause}: raise catch.y_max to 9 mm"
+    check = Check(
+        "table_left", 1e-3, 0.0, "m", advice, "fail", label="height outside the force table"
+    )
     with pytest.raises(kc.errors.SimulationError) as caught:
         require_passed((check,), "kick_and_catch")
     found = rows(str(caught.value))
-    assert found["head"] == "kick_and_catch: the sphere left the field table (check: table left)"
+    assert found["head"] == f"kick_and_catch: {cause} (check: height outside the force table)"
     assert found["next"] == "raise catch.y_max to 9 mm"
 
 
@@ -693,3 +706,125 @@ def test_colons_between_key_and_value_of_an_inline_table_are_replaced(cli):
     told = cli("explain", "own.toml").stderr
     assert "':' stands between key and value" in told
     assert 'pair = { first = "a:b", second = 50 }' in told
+
+
+@pytest.mark.parametrize("folder", ["", "sub"])
+def test_a_misspelled_scene_file_proposes_the_name_of_the_file(cli, folder):
+    name = str(Path(folder) / "lamp.toml")
+    Path(name).parent.mkdir(exist_ok=True)
+    Path(name).write_text(DIVIDER)
+    found = rows(cli("run", str(Path(folder) / "my_lamp.toml")).stderr)
+    assert found["next"] == f"did you mean {name!r}?"
+    assert cli("run", name).exit_code == 0
+
+
+@pytest.mark.parametrize(
+    ("typed", "proposed"),
+    [
+        ("1:2:5", "-1:-2:5"),
+        ("log:1 m/s:2 m/s:3", "log:-1 m/s:-2 m/s:3"),
+        ("1,2", "-1,-2"),
+    ],
+)
+def test_a_positive_range_of_a_negative_key_proposes_the_negated_range(cli, typed, proposed):
+    done = cli("sweep", "impact", "--dry-run", "--set", f"impact.velocity={typed}")
+    advice = shlex.split(rows(done.stderr)["next"])
+    assert advice == ["write", "--set", f"impact.velocity={proposed}"]
+    assert cli("sweep", "impact", "--dry-run", *advice[1:]).exit_code == 0
+
+
+def test_a_missing_model_file_proposes_only_files_that_reduce_reads(cli):
+    Path("beam.lib").write_text("")
+    assert "beam.lib" not in rows(cli("reduce", "beams.K").stderr)["next"]
+    Path("beam.csv").write_text("")
+    assert rows(cli("reduce", "beams.cvs").stderr)["next"] == "did you mean 'beam.csv'?"
+
+
+def test_unclosed_brackets_of_a_list_of_tables(cli):
+    np.savez("chain.npz", M=np.eye(2), K=[[2.0, -1.0], [-1.0, 2.0]], B=[[1.0], [0.0]])
+    text = '[[ports\nname = "tip"\nkind = "mechanical"\ncolumn = 1\n'
+    Path("chain.toml").write_text(text)
+    found = rows(cli("reduce", "chain.npz").stderr)
+    assert found["next"] == "write  [[ports]]"
+    Path("chain.toml").write_text(text.replace("[[ports", "[[ports]]"))
+    assert cli("reduce", "chain.npz").exit_code == 0
+
+
+def test_a_length_unit_without_nodes_proposes_to_delete_the_key(cli):
+    np.savez("chain.npz", M=np.eye(2), K=[[2.0, -1.0], [-1.0, 2.0]], B=[[1.0], [0.0]])
+    port = 'ports = [{ name = "tip", kind = "mechanical", column = 1 }]\n'
+    Path("chain.toml").write_text(f'length = "mm"\n{port}')
+    found = rows(cli("reduce", "chain.npz").stderr)
+    assert "column" not in found["next"]
+    assert "delete length" in found["next"]
+    Path("chain.toml").write_text(port)
+    assert cli("reduce", "chain.npz").exit_code == 0
+
+
+TETRAHEDRON = """$MeshFormat
+2.2 0 8
+$EndMeshFormat
+{}$Nodes
+4
+1 0 0 0
+2 1 0 0
+3 0 1 0
+4 0 0 1
+$EndNodes
+$Elements
+1
+1 4 2 TAG 1 1 2 3 4
+$EndElements
+"""
+
+
+@pytest.mark.parametrize(
+    ("groups", "head", "command"),
+    [
+        ("", "the mesh has no groups", 'addPhysicalGroup(3, [1], name="bar")'),
+        ('$PhysicalNames\n1\n3 1 "bar"\n$EndPhysicalNames\n', "the mesh has no groups of faces",
+         'addPhysicalGroup(2, [1], name="top")'),
+    ],
+)  # fmt: skip
+def test_a_mesh_without_a_suitable_group_proposes_a_group_of_this_dimension(
+    cli, groups, head, command
+):
+    Path("bar.msh").write_text(TETRAHEDRON.format(groups).replace("TAG", str(int(bool(groups)))))
+    Path("bar.toml").write_text(
+        '[bar]\npart = "body"\nmesh = "bar.msh"\nunit = "mm"\nmaterials = { bar = "PZT-5A" }\n'
+        'poling = { bar = [0, 0, 1] }\nelectrodes = { anode = "top", cathode = "bottom" }\n'
+        'pins = { anode = "drive.out" }\n[drive]\npart = "source"\nac = "1 V"\n'
+        '[analysis]\ntype = "ac"\nstop = "1 kHz"\n'
+    )
+    found = rows(cli("run", "bar.toml").stderr)
+    assert found["head"].endswith(head)
+    assert found["next"].endswith(command)
+
+
+def test_a_data_file_as_override_is_not_a_key(cli):
+    Path("meas.csv").write_text("1,2\n")
+    found = rows(cli("run", "impact", "--set", "meas.csv").stderr)
+    assert "not a TOML file of keys" in found["head"]
+    assert "meas.csv=" not in found["next"]
+
+
+def test_result_files_as_input_propose_no_action_that_fails(cli):
+    assert cli("run", "impact", "--out", "out").exit_code == 0
+    found = rows(cli("run", "out/result.json").stderr)
+    assert "the results of a run" in found["head"]
+    assert "the scene impact in place" in found["next"]
+    for name in ("waveforms.npz", "result.json"):
+        found = rows(cli("export", "--rom", f"out/{name}").stderr)
+        assert found["next"] == "run kc2spice reduce MODEL, which writes NAME_rom/NAME_rom.npz"
+        assert "without the record of a reduced model" in found["got"]
+
+
+def test_a_symbol_of_a_result_proposes_a_result_of_the_same_part():
+    names = ["disc.voltage", "drive.v", "disc.current", "drive.i"]
+    for word, meant in {"disc.v": "disc.voltage", "disc.i": "disc.current"}.items():
+        assert did_you_mean(word, names) == f"did you mean {meant!r}?"
+
+
+def test_a_ragged_stiffness_matrix_is_an_error():
+    error = fails(kc.LinearModel, M=np.eye(2), K=[[1, 2], [3]], B=np.ones((2, 1)))
+    assert error.message == "the rows of matrix K differ in length"

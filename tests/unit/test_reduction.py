@@ -124,7 +124,7 @@ def test_the_basis_of_a_congruence_gives_matrices_and_displacements(name, method
 
 
 @pytest.mark.parametrize("name", ["small", "free"])
-@pytest.mark.parametrize("method", ["balanced truncation", "balanced truncation over the band"])
+@pytest.mark.parametrize("method", ["balanced truncation", "frequency-limited balanced truncation"])
 def test_displacements_of_a_balanced_model_are_those_of_the_full_model(name, method):
     matrices, top = bodies()[name]
     model = kc.LinearModel(**matrices)

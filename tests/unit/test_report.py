@@ -2,6 +2,7 @@
 
 import base64
 import json
+import math
 import re
 import struct
 from dataclasses import replace
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 from support import (
     BuiltScene,
+    Check,
     Curve,
     Figure,
     PageSection,
@@ -21,11 +23,13 @@ from support import (
     compute_metrics,
     describe_plan,
     format_operating_point,
+    format_percent,
     format_quantity,
     format_results,
     format_summary,
     format_value_and_limit,
     load_scene,
+    remove_unit_words,
     render_figure,
     write_page,
     write_pngs,
@@ -44,7 +48,7 @@ def test_a_limit_has_the_unit_and_the_prefix_of_its_value() -> None:
         "0.124 %, estimated", "3 %",
     )  # fmt: skip
     assert format_value_and_limit(0.0, 1e-8, "m") == ("0 nm", "10 nm")
-    assert format_value_and_limit(1.56e-5, 4.89e-3, "A2 s") == ("1.56e-05 A2 s", "0.00489 A2 s")
+    assert format_value_and_limit(1.56e-5, 4.89e-3, "A2 s") == ("15.6 µs·A²", "4.89 ms·A²")
 
 
 def test_a_rounding_error_prints_0() -> None:
@@ -58,8 +62,8 @@ def test_a_rounding_error_prints_0() -> None:
 
 def test_a_table_has_no_rows_of_numbers() -> None:
     metrics = {"peaks_m": [1.0, 2.0, 3.0], "band_hz": [1.0, 2.0], "first_m": 1.0}
-    rows = {s.title: s.rows for s in format_results({"metrics": metrics})}["Metrics"]
-    assert [name for name, _ in rows] == ["band hz", "first m"]
+    rows = format_summary({"metrics": metrics}).rows
+    assert [name for name, _ in rows] == ["checks", "band", "first m"]
 
 
 def test_two_keys_of_one_label_name_their_quantities() -> None:
@@ -67,8 +71,133 @@ def test_two_keys_of_one_label_name_their_quantities() -> None:
     result = {"metrics": metrics, "metric_units": {"disc_turn_s": "s", "disc_turn_m": "m"}}
     expected = [("disc turn, time", "77.4 ms"), ("disc turn, position", "19.3 mm")]
     assert format_summary(result).rows[1:] == expected
-    rows = {section.title: section.rows for section in format_results(result)}["Metrics"]
-    assert list(rows) == expected
+
+
+def test_a_small_share_is_printed_as_an_upper_bound() -> None:
+    assert format_percent(3.56e-12) == "< 0.001 %"
+    assert format_percent(1e-5) == "0.001 %"
+    assert format_percent(0.16598, 2) == "17 %"
+    unit = "of the energy exchanged"
+    assert format_value_and_limit(7.55e-7, 1e-4, unit) == (f"< 0.001 % {unit}", "0.01 %")
+    # a limit below 0.001 % needs the number
+    assert format_value_and_limit(7.55e-7, 1e-6, "relative") == ("7.55e-05 %", "0.0001 %")
+
+
+def test_a_limit_of_four_digits_has_its_own_prefix() -> None:
+    assert format_value_and_limit(4.07e-8, 1.251e-6, "m") == ("40.7 nm", "1.25 µm")
+    assert format_value_and_limit(1.81e-3, 0.12, "V") == ("1.81 mV", "120 mV")
+    assert format_value_and_limit(1e9, 3.88e6, "Hz") == ("1 GHz", "3.88 MHz")
+    assert format_value_and_limit(math.inf, 3.88e6, "Hz") == ("inf Hz", "3.88 MHz")
+
+
+@pytest.mark.parametrize(
+    ("unit", "bare"),
+    [("of its swing", "relative"), ("relative, estimated", "relative"), ("V beyond", "V"),
+     ("contact events", ""), ("1", ""), ("A2 s", "A2 s"), ("m per 100 V", "m per 100 V"),
+     ("m/s", "m/s"), ("", "")],
+)  # fmt: skip
+def test_words_of_a_unit_are_not_in_tables(unit, bare) -> None:
+    assert remove_unit_words(unit) == bare
+
+
+@pytest.mark.parametrize(
+    ("name", "label", "printed"),
+    [
+        ("energy of kick", "energy balance of kick", "energy balance of kick"),
+        ("touches", "contact events", "contact events"),
+        ("usual range of a_b", "", "usual range of a_b"),
+        ("my_check", "", "my check"),
+    ],
+)
+def test_a_check_is_printed_with_its_label(name, label, printed) -> None:
+    check = Check(name, 2.0, 1.0, "V", "lower it", label=label)
+    assert check.violation == f"check {printed}: 2 V, limit 1 V: lower it"
+    record = check.make_record()
+    assert (record["name"], record["label"]) == (name, printed)
+    assert ("VIOLATED", f"{printed}: 2 V, limit 1 V") in format_summary({"checks": [record]}).rows
+    del record["label"]  # a record of an earlier version
+    assert ("VIOLATED", f"{name}: 2 V, limit 1 V") in format_summary({"checks": [record]}).rows
+
+
+def make_check(name: str, value: float, **more) -> dict[str, object]:
+    check = {"name": name, "value": value, "limit": 1.0, "unit": "V", "passed": value <= 1.0}
+    return {**check, "action": "warn", **more}
+
+
+def test_the_check_closest_to_its_limit_is_first() -> None:
+    checks = [make_check("a", 0.5), make_check("b", 0.9, action="fail"), make_check("c", 2.0)]
+    checks.append(make_check("d", 0.0, limit=0.0))
+    (table,) = (s for s in format_results({"checks": checks}) if s.head[:2] == ("", "check"))
+    assert [row[1] for row in table.rows] == ["c", "b", "a", "d"]
+    assert [row[-1] for row in table.rows] == ["warning", "error", "warning", "warning"]
+    assert [row[0] for row in table.rows] == ["VIOLATED", "ok", "ok", "ok"]
+    assert table.head[-1] == "if exceeded"
+
+
+def test_a_probe_states_its_kind_and_its_result() -> None:
+    result = {
+        "metrics": {"tip_swing_m": 2e-3, "efficiency": 0.04396, "bvd": {"c0_f": 1e-9}},
+        "metric_units": {"tip_swing_m": "m", "bvd.c0_f": "F"},
+        "probes": {"tip_swing_m": {"of": "beam.u.tip", "take": "peak_to_peak"}},
+    }
+    assert format_summary(result).rows[1:] == [
+        ("tip swing", "2 mm, peak-to-peak of beam.u.tip"),
+        ("efficiency", "4.4 %"),
+        ("equivalent circuit C0", "1 nF"),
+    ]
+
+
+def test_labels_follow_the_english_word_order() -> None:
+    units = {"force_max_n": "N", "area_face_m2": "m2"}
+    facts = {"force_max_n": 1.0, "mesh_error_modes": 0.0106, "area_face_m2": 1.0, "unknowns": 434}
+    sections = format_results({"model": {"disc": facts}, "model_units": {"disc": units}})
+    assert {s.title: s.rows for s in sections}["Model: disc"] == [
+        ("unknowns of the full model", "434"), ("largest force", "1 N"), ("area of face", "1 m²"),
+        ("mesh error, worst of the lowest modes", "1.06 %"),
+    ]  # fmt: skip
+
+
+def test_a_warning_of_a_metric_replaces_its_row() -> None:
+    result = {"metrics": {"still_rising": True, "on": True}}
+    assert format_summary(result).rows[1:] == [
+        ("sphere still rising at the end", "yes"),
+        ("on", "yes"),
+    ]
+    result["metric_warnings"] = {"still_rising": "the heights are not final"}
+    assert format_summary(result).rows[1:] == [
+        ("WARNING", "the heights are not final"), ("on", "yes"),
+    ]  # fmt: skip
+
+
+def test_the_run_time_omits_stages_without_time() -> None:
+    wall = {"mesh": 0.0, "assemble": 0.0, "simulate": 1.234}
+
+    def list_stages(result) -> list[tuple[str, str]]:
+        return {s.title: s.rows for s in format_results({**result, "wall_s": wall})}["Run time"]
+
+    spent = [("simulate", "1.23 s"), ("total", "1.23 s")]
+    assert list_stages({}) == spent
+    assert list_stages({"model": {"disc": {}}}) == [("models", "from the cache"), *spent]
+    wall["assemble"] = 1.0
+    assert list_stages({"model": {"disc": {}}})[0] == ("assemble", "1.00 s")
+
+
+def test_a_reduced_model_has_the_name_of_its_part() -> None:
+    rom = {"order": 5, "massless": 0, "band_hz": [504.0, 16800.0], "error_estimate": 2.69e-4,
+           "method": "difference from a model; details", "norm": "pointwise"}  # fmt: skip
+    modes = {"disc": {"units": {}, "modes": []}}
+    result = {"rom": rom, "modes": modes}
+    tables = {s.title: s.rows for s in format_results(result)}
+    assert tables["Reduced model: disc"] == [
+        ("states", "5"), ("band", "504 Hz to 16.8 kHz"), ("error estimate", "0.0269 %"),
+        ("error estimated as", "difference from a model"),
+        ("error relative to", "the response at each frequency"),
+    ]  # fmt: skip
+    text = "5 states, error estimate 0.027 %, 504 Hz to 16.8 kHz"
+    assert format_summary(result).rows[-1] == ("reduced model of disc", text)
+    assert "Reduced model" in {s.title for s in format_results({"rom": rom})}
+    both = {s.title for s in format_results({**result, "roms": {"a": rom, "b": rom}})}
+    assert {"Reduced model: a", "Reduced model: b"} <= both
 
 
 def test_areas_and_volumes_have_the_power_of_the_prefix():
@@ -183,9 +312,9 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Page:
 
 def test_page_has_all_sections(page: Page) -> None:
     assert page.headings == [
-        "Result", "Device", "Main result", "Circuit", "Further figures", "Metrics", "Model: kick",
-        "Model: catch", "Reduced model", "Wall time", "What is modelled", "Numerical settings",
-        "What is left out", "Simulator",
+        "Result", "Device", "Main result", "Circuit", "Further figures", "Model: kick",
+        "Model: catch", "Reduced model", "Run time", "Parts", "Numerical settings",
+        "Neglected effects", "Simulator",
         "Files",
     ]  # fmt: skip
 
@@ -268,3 +397,37 @@ def test_markup_in_a_title_stays_text(tmp_path: Path) -> None:
     path = write_page(tmp_path / "x.html", BAD, BAD, [PageSection(BAD, [("&",)], note=BAD)])
     assert "a()</script>" not in path.read_text(encoding="utf-8")
     assert "<img" not in path.read_text(encoding="utf-8")
+
+
+def test_all_natural_frequencies_are_in_the_tables_of_the_terminal():
+    mode = {"frequency_hz": 9816.0, "quality": 17.0, "couplings": {"anode": 0.3}}
+    modes = {"disc": {"units": {"anode": ""}, "modes": [{**mode, "frequency_hz": 3340.0}, mode]}}
+    tables = {section.title: section for section in format_results({"modes": modes})}
+    assert [row[0] for row in tables["Modes: disc"].rows] == ["3.34 kHz", "9.816 kHz"]
+
+
+def test_the_columns_of_modes_state_the_quantity() -> None:
+    """At 1 / (2 pi) Hz, the effective mass equals the static response to an acceleration."""
+    couplings = {"face": 7.03e-15, "tip": 8.41e-4, "base": 0.0165, "anode": 0.326}
+    units = {"face": "m3/Pa", "tip": "m/N", "base": "kg s2", "anode": ""}
+    mode = {"frequency_hz": 1 / (2 * math.pi), "quality": 18.5, "couplings": couplings}
+    (table,) = (
+        section
+        for section in format_results({"modes": {"beam": {"units": units, "modes": [mode]}}})
+        if section.title == "Modes: beam"
+    )
+    assert dict(zip(table.head[2:], table.rows[0][2:], strict=True)) == {
+        "compliance at face": "7.03e-15 m³/Pa", "compliance at tip": "841 µm/N",
+        "effective mass at base": "16.5 g", "coupling factor of anode": "0.326",
+    }  # fmt: skip
+
+
+def test_the_uncertainty_of_a_level_has_a_sign_and_two_digits() -> None:
+    result = {"metrics": {"level_error_db": 7.088}, "metric_units": {"level_error_db": "dB"}}
+    text = "±7.1 dB, root sum of squares, without the baffle row"
+    assert format_summary(result).rows[1:] == [("uncertainty of the level", text)]
+
+
+def test_a_ratio_that_is_a_rounding_error_is_zero() -> None:
+    assert format_value_and_limit(5e-16, 1e-11, "relative") == ("0 %", "1e-09 %")
+    assert format_value_and_limit(1.2e-10, 5e-9, "relative") == ("1.2e-08 %", "5e-07 %")

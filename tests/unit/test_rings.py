@@ -36,5 +36,5 @@ def test_rings_follow_the_scene(scene, override, rings):
 
 @pytest.mark.parametrize("rings", ["0", "-1", "2.5", "some", "[]", "true"])
 def test_a_wrong_choice_is_refused_with_the_right_ones(rings):
-    with pytest.raises(UsageError, match="needed, all, or a whole number"):
+    with pytest.raises(UsageError, match='"needed", "all", or a whole number'):
         load_scene("impact", [f"contact.rings={rings}"])

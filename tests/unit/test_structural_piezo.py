@@ -108,7 +108,7 @@ def test_the_reduction_is_passive_with_a_valid_error_estimate(tmp_path, loss):
 def test_losses_of_potentials_are_refused(tmp_path):
     K, M = matrices(TWO_MATERIALS)
     K[-1, -1] *= 1 + 0.01j
-    with pytest.raises(UsageError, match="the rows of the potentials contain damping"):
+    with pytest.raises(UsageError, match="imaginary parts in the rows of the electric potentials"):
         model_of(tmp_path, K, M)
 
 

@@ -212,7 +212,7 @@ RISE = 300 + 2 * ZTH.compute_step_response(TIME)
             "does not apply to a measured response",
         ),
         ("time_s,temperature_k", TIME, RISE, {"power": 2, "network": "x"}, "this form of"),
-        ("time_s,temperature_k", TIME - 10, RISE, {"power": 2}, "0 times after zero"),
+        ("time_s,temperature_k", TIME - 10, RISE, {"power": 2}, "0 time points after zero"),
         ("time_s,temperature_k", TIME, 0 * RISE + 300, {"power": 2}, "does not change"),
         ("time_s,speed_k", TIME, RISE, {"power": 2}, "neither a temperature nor a thermal"),
         ("time_s,zth_k_w", TIME, RISE, {"power": 2}, "with a thermal impedance"),
@@ -230,7 +230,7 @@ def test_refused_transients_state_the_problem(tmp_path, head, time, value, optio
 def test_an_oscillation_is_no_heat_network(tmp_path):
     wave = 300 + TIME + 2 * np.sin(3 * TIME)
     path = transient_file(tmp_path / "wave.csv", TIME, wave)
-    with pytest.raises(kc.errors.GateMissedError, match="no heat network"):
+    with pytest.raises(kc.errors.GateMissedError, match="no thermal network"):
         reduce_file(path, tmp_path / "out", power=1.0)
     assert not (tmp_path / "out").exists()
 

@@ -10,7 +10,8 @@ def flown(velocity, error, ceiling):
     """Checks of a flight to ``v^2 / 2 g`` under a ceiling, the velocity being off by ``error``."""
     height = velocity**2 / (2 * GRAVITY)
     beyond, distance = max(0.0, height - ceiling), abs(ceiling - height)
-    left = Check("table_left", beyond, 0.0, "m", "widen it", distance=distance, travel=height)
+    left = Check("table_left", beyond, 0.0, "m", "widen it", distance=distance, travel=height,
+                 label="height outside", undecided_label="height error near an end")  # fmt: skip
     return [Check("reduction of chip", error, 0.1, loaded=True), left]
 
 
@@ -24,11 +25,12 @@ def test_an_outcome_is_undecided_if_the_error_reaches_the_limit(error, share):
     checks = {c.name: c for c in add_undecided_warnings(flown(speed, error, ceiling))}
     left = checks["table_left"]
     assert left.passed == (share < 0)
-    told = "table_left undecided" in checks or "not decided" in left.advice
+    told = "table_left undecided" in checks or "inconclusive" in left.advice
     assert told == (ends[0] != ends[1])
     if told and left.passed:
         assert checks["table_left undecided"].action == "warn"
         assert not checks["table_left undecided"].passed
+        assert checks["table_left undecided"].label == "height error near an end"
     if not left.passed:
         assert left.is_fatal
 

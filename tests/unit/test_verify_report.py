@@ -1,13 +1,18 @@
 """Comparisons of a verification: waves and pairs of a gate, points, metrics without a unit."""
 
+import math
+
 import numpy as np
 import pytest
 from support import (
+    Check,
     Gate,
     Solution,
+    VerificationResult,
     Waveforms,
     compute_gate_difference,
     compute_output_errors,
+    format_verification,
     list_gate_checks,
     list_metric_errors,
 )
@@ -79,6 +84,18 @@ def test_the_error_of_a_metric_without_unit_is_relative_to_itself() -> None:
     assert found["zero"] == 0.25
 
 
+def test_relative_errors_are_printed_in_percent() -> None:
+    """A value that the run did not reach is a dash beside its limit."""
+    checks = [
+        Check("a", 0.5, 0.1, "relative", label="error"),
+        Check("b", math.nan, 0.1, "relative"),
+    ]
+    record = VerificationResult(checks).make_record()
+    table, _ = format_verification("disc", record)
+    assert table.title == "disc: checks, 0 of 2 passed"
+    assert table.rows == [("MISSED", "error", "50 %", "10 %"), ("MISSED", "b", "—", "10 %")]
+
+
 def test_equal_metric_names_of_parts_are_checked_separately() -> None:
     """Of two throws one is right; alone, a part's metric has no name in front."""
     none = Waveforms({"time": np.arange(2.0)}, {})
@@ -87,6 +104,7 @@ def test_equal_metric_names_of_parts_are_checked_separately() -> None:
     ours, exact = ({"left.speed_m_s": v, "right.speed_m_s": 2.0} for v in (1.5, 1.0))
     rows, _ = list_gate_checks(gates, "ngspice_vs_rom", Solution(none, ours), Solution(none, exact))
     assert [row.value for row in rows] == [pytest.approx(0.5), 0.0]
+    assert rows[0].label == "relative error of speed, ngspice versus reduced model"
     alone = (Solution(none, {"speed_m_s": v}) for v in (1.5, 1.0))
     ((row,), _) = list_gate_checks(gates[:1], "ngspice_vs_rom", *alone)
     assert row.value == pytest.approx(0.5)

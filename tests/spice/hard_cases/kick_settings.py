@@ -70,7 +70,7 @@ def outcome(number, folder):
         with patience(PATIENCE):
             done = complete_run(load_scene("kick_and_catch", chosen), folder, StageTimer())
     except (UsageError, SimulationError) as failed:
-        left = "table left" in failed.message
+        left = "outside the force table" in failed.message
         return LEFT if left else f"refused: {failed.message} {failed.got or ''}", chosen, None
     except TimeoutError:
         return "timed out", chosen, None
