@@ -142,7 +142,7 @@ class Subcircuit:
 
     @cached_property
     def located_tree(self) -> Circuit:
-        """Tree whose cards have their text and their position in the library file."""
+        """Syntax tree in which each card stores its text and its position in the library file."""
         return self.circuit if self.source else locate_cards(self.circuit, self.filename)
 
     def with_circuit(self, circuit: Circuit) -> Subcircuit:

@@ -201,7 +201,7 @@ class LimitedTangents:
     def linearise_limited_laws(
         self, interval: Interval, t: float, z: np.ndarray
     ) -> tuple[Interval, bool]:
-        """Linearise each law that limits its Newton steps, at points near ``z``.
+        """Linearise each law that limits its Newton steps at the point that it permits.
 
         Return the equations with the linearised laws. Also return whether a limited Newton step
         moved a point of linearisation away from ``z``.

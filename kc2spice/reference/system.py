@@ -30,8 +30,8 @@ from kc2spice.core.domains import ACCELERATION
 from kc2spice.core.errors import UsageError
 
 MICRO = 1e-6  # typical displacement [m], the unit of scaled displacements
-# Largest sum of terms that cancel, divided by the sum of their magnitudes. A sum of ten terms has a
-# rounding error of about 1e-15.
+# Terms count as cancelled if the magnitude of their sum, divided by the sum of their magnitudes, is
+# at most CANCELLED_STORAGE. The rounding error of a sum of ten terms is about 1e-15 of their sum.
 CANCELLED_STORAGE = 1e-13
 
 

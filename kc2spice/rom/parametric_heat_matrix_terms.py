@@ -93,7 +93,7 @@ def find_matrix_terms(full: Full, axes: Sequence[ParameterAxis], frame: LinearMo
 
     ``full(values)`` returns the full model at parameter values.
 
-    ``frame`` is the model in the middle of the ranges.
+    ``frame`` is the model with each parameter in the middle of its range.
 
     Raises
     ------

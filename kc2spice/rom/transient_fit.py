@@ -150,7 +150,8 @@ def fit_transient(samples: StepSamples) -> TransientFit:
 def compute_unsettled_share(network: FosterNetwork, last: float) -> float:
     """Return the fraction of a network's resistance not yet settled at ``last`` [s].
 
-    Resistances with long time constants have not settled.
+    The temperature differences across resistances with long time constants have not yet reached
+    their final values at ``last``.
     """
     slow = network.time_constant > UNSETTLED * last
     return float(network.resistance[slow].sum()) / network.total_resistance

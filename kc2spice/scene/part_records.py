@@ -272,7 +272,7 @@ class AcceleratedFrame:
 
     @property
     def node_cosines(self) -> frozenset[tuple[str, float | None]]:
-        """Pairs (acceleration node, direction cosine) that identify a reference frame.
+        """Acceleration nodes with the direction cosines that identify a reference frame.
 
         Two displacements have the same frame of reference if the pairs (acceleration node,
         direction cosine) of their frames are equal.

@@ -95,7 +95,7 @@ class RomKeys(Section):
 
     @model_validator(mode="before")
     @classmethod
-    def _require_one_target(cls, data: Any) -> Any:
+    def _reject_order_with_tolerance(cls, data: Any) -> Any:
         """Reject a reduction with both an order and an error tolerance."""
         if isinstance(data, dict) and "order" in data and "tolerance" in data:
             hint = "delete the key `order`"

@@ -78,12 +78,12 @@ class HeatModes:
 def estimate_leak_share(model: LinearModel) -> float:
     """Return the largest share of heat flow through the leak of an insulated body.
 
-    The share is the relative temperature error that the leak causes. In the netlist of a body
-    without a heat path, each heat capacity C has the leakage conductance ``C LEAK_RATE``. If one of
-    two ports has a prescribed temperature, the leak takes the share ``R C LEAK_RATE`` of the heat
-    flow between the ports. R is the thermal resistance between the ports, and C the heat capacity
-    of the body. The function computes the share of the leak for each pair of ports, and returns the
-    largest value.
+    The share is the relative temperature error that the leak causes. If a body has no heat path to
+    a reference temperature, its netlist contains a leakage conductance ``C * LEAK_RATE`` in
+    parallel with each heat capacity C. If one of two ports has a prescribed temperature, the leak
+    takes the share ``R C LEAK_RATE`` of the heat flow between the ports. R is the thermal
+    resistance between the ports, and C the heat capacity of the body. The function computes the
+    share of the leak for each pair of ports, and returns the largest value.
     """
     K, E = model.pencil.make_dense().coefficients
     values, vectors = np.linalg.eigh(0.5 * (K + K.T))

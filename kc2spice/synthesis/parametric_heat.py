@@ -169,7 +169,7 @@ def _remove_rounding_errors(matrix: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class _ModalNetwork:
-    """Network of heat modes at default parameters, and changes of its matrices K, E.
+    """Network of heat modes, and the changes of K and E with each parameter.
 
     ``changes`` are the expressions of the differences ``f_t(p) - f_t(p_0)``, as texts. ``stiff``
     and ``stored`` are the matrices K_t and E_t by which the ``changes`` are multiplied. ``stiff``

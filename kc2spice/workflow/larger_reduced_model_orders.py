@@ -165,7 +165,7 @@ class _OrderSearch(NamedTuple):
 
 
 def _find_violated_checks(run: Run) -> dict[str, Check]:
-    """Return violated checks of model errors under recorded loads, keyed by body."""
+    """Return the violated check of each body whose model error under load is too large."""
     checks = {check.name: check for check in run.verdict.checks if check.loaded}
     bodies = {
         part.name: checks.get(f"reduction of {part.name}") for part in _list_bodies_with_order(run)

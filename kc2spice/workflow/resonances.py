@@ -160,9 +160,9 @@ def _find_poles_and_zeros(laws: SceneLaws) -> np.ndarray:
     models = [model for model in laws.build.models.values() if isinstance(model, LinearModel)]
     if models and causes:
         warnings.warn(
-            "some maxima may be missed, because they are searched only near the natural "
-            "frequencies of the reduced models; the resonances of the circuit cannot be computed: "
-            f"{'; '.join(causes)}",
+            f"the resonances of the circuit cannot be computed ({'; '.join(causes)}), so maxima of "
+            "results are searched only near the natural frequencies of the reduced models, and "
+            "some may be missed",
             stacklevel=2,
         )
         poles += [model.poles() for model in models]

@@ -186,9 +186,9 @@ def _add_semi_inductance(
 def _add_creep(terms: _DeclarationTerms, creep: float, ladder: RelaxationLadder) -> None:
     """Add a suspension with creep to the declaration of a driver.
 
-    The compliance c0 is in series with the elements of creep. Each element of creep is a spring in
-    parallel with a damper. The displacement of each inner node is the elongation of one element of
-    creep.
+    The compliance c0 is in series with the creep elements. Each creep element is a spring in
+    parallel with a damper. The displacement of each inner node is the elongation of one creep
+    element.
     """
     terms.params.append(
         make_positive_parameter(

@@ -142,7 +142,7 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
     def equilibrium_conditions(
         self, part: Part[MassKeys], scene: WiredScene
     ) -> EquilibriumConditions:
-        """Return the equilibrium conditions: how forces reach ground, and the loaded pin.
+        """Return the force path to ground, and the pin on which the weight acts.
 
         The force path starts at the pin ``base``. The weight acts on the pin ``a``.
         """

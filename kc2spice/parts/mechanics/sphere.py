@@ -260,7 +260,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
     def equilibrium_conditions(
         self, part: Part[SphereKeys], scene: WiredScene
     ) -> EquilibriumConditions:
-        """Return the equilibrium conditions: how forces reach ground, and the loaded pin.
+        """Return the force path to ground, and the pin on which the weight acts.
 
         The force path starts at the pin ``base``. The weight acts on the pin ``v``. If another part
         prescribes the motion of the sphere, the result contains neither a force path nor a weight.

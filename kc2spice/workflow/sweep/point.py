@@ -278,7 +278,7 @@ def build_sweep_point(job: SweepSettings, values: Mapping[str, Any]) -> tuple[Bu
 
 @lru_cache(maxsize=_CACHED_DECKS)
 def _build_testbench(job: SweepSettings) -> tuple[BuiltScene, Deck]:
-    """Build the testbench of a sweep: scene and deck with values of the scene file."""
+    """Build scene and deck of a sweep with the values of the file, without swept values."""
     return prepare_deck(job.load({}), StageTimer())
 
 

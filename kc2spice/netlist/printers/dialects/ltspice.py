@@ -66,7 +66,7 @@ class LTspice(Dialect):
         return f"{self.measure_keyword} {kind.upper()} {name} PARAM {expression}"
 
     def format_magnitude(self, vector: str) -> str:
-        """Return the magnitude of a complex vector."""
+        """Return the LTspice expression for the magnitude of a complex vector."""
         return f"mag({vector})"
 
     def format_real_part(self, vector: str) -> str:

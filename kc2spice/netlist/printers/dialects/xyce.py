@@ -122,7 +122,7 @@ class Xyce(Dialect):
         return f"{self.measure_keyword} {kind.upper()} {name} EQN {{{expression}}}"
 
     def format_magnitude(self, vector: str) -> str:
-        """Return the magnitude of a complex vector."""
+        """Return the Xyce expression for the magnitude of a complex vector."""
         return f"VM{vector.removeprefix('V')}"
 
     def format_real_part(self, vector: str) -> str:
