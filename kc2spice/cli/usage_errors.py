@@ -251,6 +251,8 @@ def _make_extra_word_error(command: Any, words: list[str], typed: list[str]) -> 
         hint = f"put quotes around the name of the file: {shlex.quote(name)}"
     elif "=" in word:
         hint = f"write --set {shlex.quote(word)}"
+    elif count == 1 and any("--part" in item.opts for item in command.params):
+        hint = f"write {PROGRAM} {command.name} --part {shlex.quote(word)}"
     elif any(item.metavar == _SEARCH_ARGUMENT for item in command.params):
         searched = itertools.takewhile(lambda item: not item.startswith("-"), typed)
         hint = f"write {PROGRAM} {command.name} {shlex.quote(' '.join(searched))}"

@@ -113,25 +113,24 @@ class GroupedMesh:
         UsageError : the group does not exist, is empty, or has another codimension.
         """
         result = self.groups.get(name)
-        fitting = [
-            key
-            for key, group in self.groups.items()
-            if not codimensions or group.codimension in codimensions
-        ]
+        # a force or a support may act on a volume, but a volume is never proposed for it
+        proposed = codimensions or (1, 2, 3)
+        fitting = [key for key, group in self.groups.items() if group.codimension in proposed]
         kinds = ("elements", "faces", "curves", "points")
         if self.mesh.dim() == 2:
             kinds = ("elements", "curves", "points", "")
-        needed = " or ".join(kinds[c] for c in codimensions)
+        needed = " or ".join(kinds[c] for c in codimensions or (1,))
         if result is None and not fitting:
-            dimension = self.mesh.dim() - (codimensions or (0,))[0]
+            dimension = self.mesh.dim() - proposed[0]
+            entities = ("points", "curves", "surfaces", "volumes")[dimension]
             command = f'gmsh.model.addPhysicalGroup({dimension}, [1], name="{name}")'
             raise UsageError(
                 f"the mesh has no groups{f' of {needed}' if self.groups else ''}",
                 where=where,
                 got=repr(name),
                 expected="a physical group of the mesh for each material, electrode and port",
-                hint=f"add the group in gmsh, with the numbers of its {needed or kinds[0]} in "
-                f"place of 1: {command}",
+                hint=f"add the group in gmsh, with the tags of its {entities} in place of 1: "
+                f"{command}",
             )
         if result is None:
             raise unknown("the mesh has no such group", name, sorted(fitting), where)

@@ -371,6 +371,8 @@ _PLAIN_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?", re.IGNORECASE)
 _SCALE_FACTOR = re.compile(r"(t|g|meg|k|m|u|µ|n|p|f)?(ohm|ohms|f|farad|h|henry)?", re.IGNORECASE)
 # number with the suffix M in upper case, which users of other programs read as mega
 _UPPER_CASE_M = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+))M(?:[Oo]hms?|Hz)?")
+# capacitance with the suffix F in upper case, which users read as farad
+_UPPER_CASE_F = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+))F")
 _SINE_FREQUENCY = re.compile(r"(?i)\bsine?\s*\(\s*\S+\s+\S+\s+([\w.]+)")
 _ASSIGNMENT = re.compile(r"(\w+)\s*=\s*([\w.]+)")
 _LAPLACE_LAW = re.compile(r"(?i)(?<![\w.])laplace\s*[={(]")
@@ -390,7 +392,11 @@ def reject_side_effects(cards: Iterable[Statement], *, part: bool) -> None:
     """
     depth, commands = 0, False
     cards = list(cards)
-    _warn_of_milli(cards)
+    texts = [card for card in cards if not card.keyword.startswith(".end")]
+    # A netlist without lower-case letters has no other spelling of milli and femto.
+    if any(re.search("[a-z]", card.written) for card in texts):
+        _warn_of_milli(texts)
+        _warn_of_femto(texts)
     for card in cards:
         key = card.keyword
         if commands or key == ".control":  # only trusted netlists contain control blocks
@@ -402,13 +408,7 @@ def reject_side_effects(cards: Iterable[Statement], *, part: bool) -> None:
 
 
 def _warn_of_milli(cards: Iterable[Statement]) -> None:
-    """Warn about resistances and frequencies with the suffix M, which means milli.
-
-    A netlist without lower-case letters has no other spelling of milli, and causes no warning.
-    """
-    cards = [card for card in cards if not card.keyword.startswith(".end")]
-    if not any(re.search("[a-z]", card.written) for card in cards):
-        return
+    """Warn about resistances and frequencies with the suffix M, which means milli."""
     for card in cards:
         for value in _list_mega_candidates(card):
             if number := _UPPER_CASE_M.fullmatch(value):
@@ -418,6 +418,19 @@ def _warn_of_milli(cards: Iterable[Statement]) -> None:
                     f"{number[1]}m if you mean milli",
                     stacklevel=2,
                 )
+
+
+def _warn_of_femto(cards: Iterable[Statement]) -> None:
+    """Warn about capacitances such as ``1F``, which ngspice reads as 1 femtofarad."""
+    for card in cards:
+        value = card.words[3] if card.keyword.startswith("c") and len(card.words) > 3 else ""
+        if number := _UPPER_CASE_F.fullmatch(value):
+            warnings.warn(
+                f"{card.where}: ngspice reads {value} as {number[1]} femtofarad, in the line "
+                f"{card.written[:120]}: write {number[1]} if you mean farad, or {number[1]}f if "
+                "you mean femtofarad",
+                stacklevel=2,
+            )
 
 
 def _list_mega_candidates(card: Statement) -> Iterator[str]:

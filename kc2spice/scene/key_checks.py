@@ -39,7 +39,8 @@ def check_scene(scene: Scene) -> Iterator[UsageError]:
             "the scene has no parts",
             where="",
             expected="at least one table with part = TYPE",
-            hint="run  kc2spice scenes  and copy one of the listed scenes",
+            hint="copy the scene of docs/tutorials/first_buzzer.md, or the example of a part that  "
+            "kc2spice scenes --part disc  prints",
         )
         return
     yield from _check_parts(scene)

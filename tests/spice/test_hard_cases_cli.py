@@ -197,8 +197,8 @@ kicked("grazing contact", "1 mm/s", *THROWN, error=height, limit=1e-3, slow=True
 FLAT = ("kick.electrical=short", "sphere.radius=100 mm", "sphere.density=0.1 kg/m3",
         "sphere.velocity=-1 m/s", "sphere.height=1 um", "solver.stop=15 us",
         "checks.plausible=off")  # fmt: skip
-kicked("all six rings closing at once", "refused", *FLAT, error=None, code=5, words="outermost ring",
-       slow=True)  # fmt: skip
+kicked("all six rings closing at once", "refused", *FLAT, error=None, code=5,
+       words="outermost ring", slow=True)  # fmt: skip
 kicked("all six rings closing at once", "as an author insists", *FLAT, "checks.range=warn",
        error=height, limit=1e-3, slow=True)  # fmt: skip
 

@@ -273,3 +273,9 @@ def test_help_ends_with_two_examples_and_fits_its_line(cli, command):
     summary = next(line for line in listing.splitlines() if line.startswith(f"  {command} "))
     assert summary.endswith(".")
     assert not summary.endswith("..")
+
+
+def test_a_part_type_behind_scenes_is_an_option(cli):
+    done = cli("scenes", "disc")
+    assert done.exit_code == 2
+    assert done.stderr.rstrip().endswith("write kc2spice scenes --part disc")

@@ -204,6 +204,14 @@ def test_the_suffix_m_in_upper_case_causes_a_warning(deck, line, warned):
         assert "write 5meg if you mean mega, or 5m if you mean milli" in done.stderr
 
 
+@pytest.mark.parametrize(("value", "warned"), [("1F", True), ("1f", False), ("1pF", False)])
+def test_a_capacitance_in_farad_causes_a_warning(deck, value, warned):
+    Path("amp.lib").write_text(AMPLIFIER.replace("R1 in mid 5", f"R1 in mid 5\nC9 mid ref {value}"))
+    done = deck("export", "own.toml", "--out", "out")
+    assert done.exit_code == 0, done.stderr
+    assert ("write 1 if you mean farad, or 1f if you mean femtofarad" in done.stderr) is warned
+
+
 def test_a_netlist_in_upper_case_causes_no_warning(deck):
     Path("amp.lib").write_text(AMPLIFIER.upper().replace("MID 5", "MID 5M"))
     pins = '{ IN = "drive.out", OUT = "load.a", REF = "gnd" }'

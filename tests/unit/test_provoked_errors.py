@@ -801,6 +801,24 @@ def test_a_mesh_without_a_suitable_group_proposes_a_group_of_this_dimension(
     assert found["next"].endswith(command)
 
 
+def test_a_volume_is_not_proposed_as_the_group_of_a_port(cli):
+    """A force on the whole volume is possible, but it is not the force on a missing face."""
+    groups = '$PhysicalNames\n1\n3 1 "bar"\n$EndPhysicalNames\n'
+    Path("bar.msh").write_text(TETRAHEDRON.format(groups).replace("TAG", "1"))
+    Path("bar.toml").write_text(
+        '[bar]\npart = "body"\nmesh = "bar.msh"\nunit = "mm"\n'
+        'materials = { bar = { youngs_modulus = "70 GPa", poisson_ratio = 0.3, density = 2700 } }\n'
+        'fixed = ["bar"]\nports = [{ name = "tip", group = "tip", axis = "z" }]\n'
+        'pins = { tip = "push.out" }\n[push]\npart = "source"\nkind = "force"\nac = "1 N"\n'
+        '[analysis]\ntype = "ac"\nstop = "1 kHz"\n'
+    )
+    found = rows(cli("run", "bar.toml").stderr)
+    assert found["head"].endswith("the mesh has no groups of faces")
+    assert found["next"].endswith(
+        'of its surfaces in place of 1: gmsh.model.addPhysicalGroup(2, [1], name="tip")'
+    )
+
+
 def test_a_data_file_as_override_is_not_a_key(cli):
     Path("meas.csv").write_text("1,2\n")
     found = rows(cli("run", "impact", "--set", "meas.csv").stderr)
