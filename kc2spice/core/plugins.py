@@ -57,3 +57,17 @@ def load_plugin(group: str, name: str) -> object:
             expected=f"{entry.value} in {package}",
             hint=f"correct {package}, or remove it with  pip uninstall {package}",
         ) from error
+
+
+def make_built_in_name_error(kind: str, name: str, where: str, hint: str) -> UsageError:
+    """Make the error for a plugin with the name of a built-in one.
+
+    ``kind`` is what the plugin is, such as ``part type`` or ``dialect``.
+    """
+    return UsageError(
+        f"a built-in {kind} has this name",
+        where=where,
+        got=name,
+        expected=f"a name that no built-in {kind} has",
+        hint=hint,
+    )

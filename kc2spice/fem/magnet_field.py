@@ -155,7 +155,7 @@ def get_ring_direction(catch: CatchKeys) -> float:
 
 @dataclass(frozen=True, eq=False)
 class FieldEquations:
-    """Magnetic field equations of magnets, coils and a sphere at one height.
+    """Equations of the magnetic field of magnets, coils and a sphere at one height.
 
     The equations ``matrix @ a = loads`` determine the ``free`` unknowns. All other unknowns are
     zero.

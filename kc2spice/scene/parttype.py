@@ -19,7 +19,7 @@ from importlib import import_module
 import numpy as np
 
 from kc2spice.core.errors import UsageError
-from kc2spice.core.plugins import list_entry_points, load_plugin
+from kc2spice.core.plugins import list_entry_points, load_plugin, make_built_in_name_error
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.expression import join_terms
 from kc2spice.netlist.number_and_name_spelling import require_name
@@ -150,13 +150,8 @@ def register_part(part_type: PartType) -> PartType:
     0.1000 N
     """
     if isinstance(part_type, PartType) and getattr(part_type, "name", "") in _list_built_in_names():
-        raise UsageError(
-            "a built-in part type has this name",
-            where="register_part",
-            got=part_type.name,
-            expected="a name that no built-in part type has",
-            hint=f"write another name, such as my_{part_type.name}",
-        )
+        hint = f"write another name, such as my_{part_type.name}"
+        raise make_built_in_name_error("part type", part_type.name, "register_part", hint)
     register_part_type(part_type)
     _own_names.add(part_type.name)
     return part_type

@@ -13,7 +13,7 @@ from importlib import import_module
 from operator import attrgetter
 
 from kc2spice.core.errors import UsageError, unknown
-from kc2spice.core.plugins import list_entry_points, load_plugin
+from kc2spice.core.plugins import list_entry_points, load_plugin, make_built_in_name_error
 from kc2spice.netlist.printers.dialect import Dialect
 
 ENTRY_POINT_GROUP = "kc2spice.dialects"
@@ -83,13 +83,8 @@ def _require_dialect(value: object, where: str) -> type[Dialect]:
         # the name of a built-in dialect is also the name of its module
         built_in = value.__module__ == f"{DIALECT_PACKAGE}.{value.dialect}"
         if value.dialect in _list_builtin_dialects() and not built_in:
-            raise UsageError(
-                "a built-in dialect has this name",
-                where=where,
-                got=value.dialect,
-                expected="a name that no built-in dialect has",
-                hint=f"write  dialect = 'my_{value.dialect}'  in the class {value.__name__}",
-            )
+            hint = f"write  dialect = 'my_{value.dialect}'  in the class {value.__name__}"
+            raise make_built_in_name_error("dialect", value.dialect, where, hint)
         if not missing and named and titled:
             return value
         got = f"{value.__name__} with the name {value.dialect!r} and the title {value.title!r}"

@@ -10,7 +10,7 @@ from functools import cache
 import numpy as np
 
 from kc2spice.core.errors import UsageError, unknown
-from kc2spice.core.plugins import list_entry_points, load_plugin
+from kc2spice.core.plugins import list_entry_points, load_plugin, make_built_in_name_error
 from kc2spice.rom.reduced_basis import ReductionTask
 from kc2spice.rom.reductors.balanced_truncation import BalancedTruncation
 from kc2spice.rom.reductors.band_limited_balancing import BandLimitedBalancing
@@ -101,13 +101,8 @@ def _require_reductor(value: object, where: str) -> Reductor:
 def _require_free_name(reductor: Reductor, where: str) -> Reductor:
     """Return a reductor; raise UsageError if another built-in method has its name."""
     if reductor.name in _BUILT_IN_NAMES and not is_built_in(reductor):
-        raise UsageError(
-            "a built-in reduction method has this name",
-            where=where,
-            got=reductor.name,
-            expected="a name that no built-in method has",
-            hint=f"write  name = 'my {reductor.name}'  in the class {type(reductor).__name__}",
-        )
+        hint = f"write  name = 'my {reductor.name}'  in the class {type(reductor).__name__}"
+        raise make_built_in_name_error("reduction method", reductor.name, where, hint)
     return reductor
 
 

@@ -1,4 +1,4 @@
-"""Transient with full models: reduced-model solution plus a computed correction.
+"""Transient solution of full models: that of the reduced models plus a correction.
 
 An integrator with equal steps (:mod:`kc2spice.reference.fixed_step_integrator`) solves the scene
 with full and with reduced models. The difference between the integrator's solutions with full and
