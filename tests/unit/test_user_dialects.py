@@ -23,6 +23,9 @@ def define_dialect(**members):
 
 @pytest.fixture(autouse=True)
 def registered(monkeypatch):
+    """A built-in dialect registers itself only once, so it must not do so in the copy."""
+    for name in dialect_registry._list_builtin_dialects():
+        dialect_registry.find_dialect(name)
     monkeypatch.setattr(dialect_registry, "_dialects", dict(dialect_registry._dialects))
 
 
