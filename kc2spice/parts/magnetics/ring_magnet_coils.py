@@ -569,15 +569,20 @@ class RingMagnetCoils(TouchablePart[RingMagnetCoilsKeys]):
         current = find_largest_current(part, build.scene) or DEFAULT_CURRENT
         pull = _compute_force_contributions(fine.coefficients, current)
         change = _compute_force_contributions(table.coefficients[::step], current) - pull
-        changed = np.abs(change).sum(axis=0).max() / np.abs(pull).sum(axis=0).max()
-        name = f"mesh of {part.name} with half the element size"
-        label = f"mesh of {part.name}: relative error of the {{}}, versus half the element size"
-        force, inductance = label.format("force"), label.format("inductance")
-        yield Check(f"{name}, force", float(changed), MAX_SPLINE_ERROR, "relative", label=force)
-        changed = np.abs(table.inductance[::step] - fine.inductance).max()
-        changed /= np.abs(fine.inductance).max()
-        words = f"{name}, inductance"
-        yield Check(words, float(changed), MAX_SPLINE_ERROR, "relative", label=inductance)
+        errors = {
+            "force": np.abs(change).sum(axis=0).max() / np.abs(pull).sum(axis=0).max(),
+            "inductance": np.abs(table.inductance[::step] - fine.inductance).max()
+            / np.abs(fine.inductance).max(),
+        }
+        for quantity, error in errors.items():
+            yield Check(
+                f"mesh of {part.name} with half the element size, {quantity}",
+                float(error),
+                MAX_SPLINE_ERROR,
+                "relative",
+                label=f"mesh of {part.name}: relative error of the {quantity}, versus half the "
+                "element size",
+            )
 
     def checks(
         self, part: Part[RingMagnetCoilsKeys], build: BuiltScene, waves: Waveforms
@@ -809,7 +814,8 @@ def _advise_less_energy(scene: Scene, y: np.ndarray, table: MagnetostaticTable) 
         drive = getattr(part.keys, "drive", None)
         if drive is not None:
             rated = [pin.rated for (name, _), pin in scene.terminals.items() if name == part.name]
-            voltage = _round_down(min(filter(None, (share * drive.voltage, *rated))))
+            size = _round_down(min(filter(None, (share * abs(drive.voltage), *rated))))
+            voltage = math.copysign(size, drive.voltage)
             return f'lower the drive voltage, such as {part.name}.drive.voltage = "{voltage:g} V"'
     for part in scene.list_parts("throw") if share else ():
         velocity = float(f"{share * getattr(part.keys, 'velocity', 0.0):.2g}")

@@ -484,8 +484,10 @@ class _Verification:
         """
         ours, exact = complete_solution(coarse, self.build), complete_solution(waves, self.build)
         for limit in list_gate_checks(self._list_model_gates(), "rom_vs_fom", ours, exact)[0]:
-            words = limit.name.replace("ROM versus full model", "full model, time steps halved")
-            self.outcome.checks.append(replace(limit, name=words))
+            compared = "full model, time steps halved"
+            name = limit.name.replace("ROM versus full model", compared)
+            label = limit.label.replace("reduced model versus full model", compared)
+            self.outcome.checks.append(replace(limit, name=name, label=label))
         moved = compute_output_errors("steps", coarse, waves)
         if moved:
             worst = max(moved, key=attrgetter("rms"))
