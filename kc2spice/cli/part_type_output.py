@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Any
 
 from kc2spice.cli.terminal_output import PIPED_COLUMNS, print_table
-from kc2spice.core.domains import ACCELERATION, SIGNAL, find_across_quantity, find_domain
+from kc2spice.core.domains import ACCELERATION, SIGNAL
 from kc2spice.core.si_prefix_format import format_quantity, show_unit
 from kc2spice.core.toml_text import format_toml
 
@@ -96,7 +96,7 @@ def _write_default(value: Any, unit: str | None) -> str:
 
 def _describe_quantities(pin: Terminal) -> Iterator[str]:
     """Yield the across and the through quantity of a pin, each with its unit."""
-    quantity, domain = find_across_quantity(pin.unit), find_domain(pin.unit, pin.flow)
+    quantity, domain = pin.across, pin.domain
     yield _describe_quantity("signal" if quantity is None else quantity.name, pin.unit)
     if pin.flow == SIGNAL:
         yield ""
@@ -114,8 +114,7 @@ def _describe_default_net(pin: Terminal) -> str:
     """Describe what a scene connects to a pin that it does not mention."""
     if pin.required:
         return "error"
-    domain = find_domain(pin.unit, pin.flow)
-    if domain is not None and domain.name == ACCELERATION.name:
+    if pin.domain is not None and pin.domain.name == ACCELERATION.name:
         return pin.default or "at rest"
     return pin.default or "open"
 

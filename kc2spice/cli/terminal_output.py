@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 PIPED_COLUMNS = 80  # characters, line width of output that is not printed on a terminal
 # largest numbers of metrics and rows in the summary of a run
 MAX_METRICS = 9
+MAX_ROWS = 13
 # purposes of the files of a run, keyed by the end of their names
 FILE_PURPOSES = {
     "result.json": "all results",
@@ -39,7 +40,6 @@ FILE_PURPOSES = {
     ".png": "figures",
     "em_table.npz": "force table",
 }
-MAX_ROWS = 13
 # Output that is not printed on a terminal contains one line about a stage if the remaining time of
 # the stage exceeds LONG_TIME [s]. This time is extrapolated after MIN_ELAPSED_TIME [s].
 LONG_TIME = 30.0

@@ -14,7 +14,7 @@ PREFIXES = {-18: "a", -15: "f", -12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: 
 # Units that contain a prefix, with the unit without prefix and the conversion factor.
 _PREFIXED_UNITS = {"kg": ("g", 1e3), "mm": ("m", 1e-3), "um": ("m", 1e-6)}
 # The unit A2 s is printed as s·A², because a prefix before A² would be squared: mA² means (mA)².
-_SHOWN_UNITS = {"Ohm": "Ω", "kg s2": "kg·s²", "A2 s": "s·A²", "um": "µm"}
+_SHOWN_UNITS = {"Ohm": "Ω", "A2 s": "s·A²", "um": "µm"}
 # Units of area and volume, with the equivalent of 1 unit in m2 or m3.
 _AREAS = {"m²": 1.0, "cm²": 1e-4, "mm²": 1e-6, "µm²": 1e-12}
 _VOLUMES = {"m³": 1.0, "dm³": 1e-3, "cm³": 1e-6, "mm³": 1e-9, "µm³": 1e-18}

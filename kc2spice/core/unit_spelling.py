@@ -62,10 +62,18 @@ _EXAMPLES = {
 
 def is_range_or_list(value: object) -> bool:
     """Return whether a text is a range such as 1 g:2 g:5, or a list such as 1 g,2 g."""
+    return isinstance(value, str) and _find_first_value(value) is not None
+
+
+def _find_first_value(text: str) -> str | None:
+    """Return the first value of a range or a list, or None for any other text."""
     # long texts are not compared, because the time of the comparison grows faster than the length
-    if not isinstance(value, str) or len(value) > MAX_QUANTITY_LENGTH:
-        return False
-    return _SEVERAL_VALUES.match(value) is not None or find_range_ends(value) is not None
+    if len(text) > MAX_QUANTITY_LENGTH:
+        return None
+    if several := _SEVERAL_VALUES.match(text):
+        return (several[1] or several[2]).strip()
+    ends = find_range_ends(text)
+    return ends[0].strip() if ends else None
 
 
 def find_range_ends(text: str, *, hyphen: bool = True) -> tuple[str, str] | None:
@@ -122,9 +130,7 @@ def suggest_spelling(value: object, si: str) -> str | None:
         return _make_form_hint(si)
     if len(value) > MAX_QUANTITY_LENGTH:
         return f"write a number of at most {MAX_QUANTITY_LENGTH} characters"
-    if is_range_or_list(value):
-        several, ends = _SEVERAL_VALUES.match(value), find_range_ends(value)
-        first = (several[1] or several[2] if several else ends[0] if ends else "").strip()
+    if (first := _find_first_value(value)) is not None:
         if re.fullmatch(_NUMBER, first) is None:  # a text between quotes needs a unit
             first = f'"{first}"'
         return f"write one value, such as  {first}; kc2spice sweep accepts a range or a list"
@@ -247,7 +253,8 @@ def _suggest_unit(typed: _TypedQuantity | None, si: str) -> str:
     number, unit = typed.number, typed.unit
     base = "g" if si == "kg" else si  # unit without a prefix
     if parse_unit(unit) is not None:
-        prefix = unit[:1] if unit not in UNITS and unit[1:] in UNITS and base in UNITS else ""
+        prefixed = unit not in UNITS and unit[:1] in UNIT_PREFIXES and unit[1:] in UNITS
+        prefix = unit[:1] if prefixed and base in UNITS else ""
         usual = give_example(si).removeprefix("1 ")
         same = f"{prefix}{base}"
         # a large prefix is usual for ohms, but not for metres

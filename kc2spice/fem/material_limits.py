@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from kc2spice.core.errors import UsageError
+from kc2spice.core.errors import UsageError, join_first
 from kc2spice.core.quantities import EPSILON_0
 
 # Relative permittivities in static fields: 1 is the value of vacuum.
@@ -200,7 +200,7 @@ def _name_diagonal(key: str, values: _Values) -> dict[str, float]:
 def _list_components(values: Mapping[str, float], unit: str) -> str:
     """Return at most five components with their unit, for messages."""
     texts = [f"{name} = {value:g} {unit}" for name, value in values.items()]
-    return ", ".join(texts[:5]) + (", …" if len(texts) > 5 else "")
+    return join_first(texts)
 
 
 def _format_scaled_components(values: Mapping[str, float], exponent: int) -> str:

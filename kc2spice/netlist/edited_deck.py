@@ -141,7 +141,7 @@ def read_edited_deck(original: Deck, path: Path) -> DeckEdits:
         command=AnalysisCommand(original.command.kind, tuple(analysis.words[1:])),
     )
     with _reject_title_of_other_scene(original, result.text, path):
-        _require_results(original.scope, deck, path, original.name)
+        _require_results(original.scope, deck, path)
     return DeckEdits(
         deck,
         None if _has_equal_words(original.command.card, analysis) else analysis.written,
@@ -345,7 +345,7 @@ def _read_max_step(original: Deck, analysis: Statement) -> float | None:
     return parse_literal(words[3], where=analysis.where)
 
 
-def _require_results(before: Scope, edited: Deck, path: Path, scene_name: str) -> None:
+def _require_results(before: Scope, edited: Deck, path: Path) -> None:
     """Reject a deck without the nodes and devices that the scene's results need.
 
     Raises
@@ -358,10 +358,10 @@ def _require_results(before: Scope, edited: Deck, path: Path, scene_name: str) -
     missing = [v for v in edited.saved_vectors if not has_vector(now, v) and has_vector(before, v)]
     if not missing:
         return
-    hint = f"edit a copy of the deck that  kc2spice export {scene_name}  writes"
+    hint = f"edit a copy of the deck that  kc2spice export {edited.name}  writes"
     needed = sum(has_vector(before, vector) for vector in edited.saved_vectors)
     if len(missing) > max(MAX_CANDIDATES, needed / 2):
-        got = f"a deck without {len(missing)} of the results of {scene_name}, such as {missing[0]}"
+        got = f"a deck without {len(missing)} of the results of {edited.name}, such as {missing[0]}"
         raise _make_other_scene_error(edited, path, got)
     sources = {f"i({e.key})": e for e in before.elements if e.kind == "v"}
     missing_sources = list(filter(None, map(sources.get, map(str.lower, missing))))

@@ -154,10 +154,10 @@ def _check_instance(part: Element, scope: Scope) -> Iterator[UsageError]:
 
 def _check_references(part: Element, scope: Scope) -> Iterator[UsageError]:
     """Yield the mistakes in models, parameters and controlling sources of a card."""
-    if part.model and part.model.lower() not in scope.models:
+    model = scope.models.get((part.model or "").lower())
+    if part.model and model is None:
         hint = f"add the line  .model {part.model} {_MODEL_TYPES.get(part.kind, 'TYPE')}"
         yield _make_unknown_name_error(part, "no such model", part.model, scope.models, hint)
-    model = scope.models.get((part.model or "").lower())
     if model is not None and (replacement := PSPICE_SWITCHES.get(model.type.lower())):
         yield model.make_error(
             f"model type {model.type} exists in PSpice but not in ngspice",

@@ -83,10 +83,8 @@ _QUANTITIES = {
     "s": "time", "m": "position", "m/s": "velocity", "Hz": "frequency", "V": "voltage",
     "A": "current", "N": "force", "J": "energy",
 }  # fmt: skip
-# Explanations of the values of metrics, keyed by metric.
-_VALUE_NOTES = {"level_error_db": "root sum of squares, without the baffle row"}
-# Keys of metrics whose value is the half-width of an interval.
-_HALF_WIDTHS = {"level_error_db"}
+# Explanations of metrics whose value is the half-width of an interval, keyed by metric.
+_HALF_WIDTH_NOTES = {"level_error_db": "root sum of squares, without the baffle row"}
 HALF_WIDTH_DIGITS = 2  # significant digits of the half-width of an interval
 MAX_ROW_VALUES = 8  # a longer list is replaced by the number of values
 
@@ -118,10 +116,8 @@ def label_key(key: str, unit: str = "") -> str:
     """
     if key in _LABELS:
         return _LABELS[key]
-    name, prefix = (
-        key.removesuffix(_UNIT_SUFFIXES.get(unit, f"_{unit.lower()}" if unit else "")),
-        "",
-    )
+    name = key.removesuffix(_UNIT_SUFFIXES.get(unit, f"_{unit.lower()}" if unit else ""))
+    prefix = ""
     for beginning, replacement in _LABEL_PREFIXES.items():
         if name.startswith(beginning):
             name, prefix = name.removeprefix(beginning), replacement
@@ -155,9 +151,9 @@ def format_metric(key: str, value: Any, unit: str = "") -> tuple[str, str]:
     values = value if isinstance(value, (list, tuple)) else [value]
     if len(values) > MAX_ROW_VALUES:
         return label_key(key, unit), f"{len(values)} values, in result.json"
-    if key in _HALF_WIDTHS and isinstance(value, float):
+    if key in _HALF_WIDTH_NOTES and isinstance(value, float):
         text = f"±{format_quantity(value, unit, HALF_WIDTH_DIGITS)}"
-        return label_key(key, unit), ", ".join(filter(None, (text, _VALUE_NOTES.get(key))))
+        return label_key(key, unit), f"{text}, {_HALF_WIDTH_NOTES[key]}"
     if key.startswith(_PERCENT_KEYS) and not unit:
         return label_key(key), ", ".join(map(format_percent, values))
     return label_key(key, unit), ", ".join(format_value(item, unit) for item in values)

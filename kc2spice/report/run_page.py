@@ -34,6 +34,7 @@ from kc2spice.report.html import (
     label_key,
     write_page,
 )
+from kc2spice.scene.part_records import STEP_SET_BY_USER
 from kc2spice.scene.scene_classes import Scene, compute_scene_hash
 
 # Each row of assumptions replaces one metric of a summary, but at least MIN_METRICS remain.
@@ -77,8 +78,6 @@ MODES_NOTE = (
 # Unit of the static response to an acceleration, which is the effective mass divided by omega².
 ACCELERATION_RESPONSE_UNIT = ACCELERATION.compliance
 NOT_ESTIMATED = "not estimated"
-# reason that a run reports for its time-step limit if the scene sets ``solver.max_step``
-STEP_SET_BY_USER = "set by solver.max_step"
 IDEAL_SOURCE = "ideal source"  # origin of the model of an independent source
 RETRIES_NOTE = "All settings that were tried. The result is from the last setting."
 
@@ -123,6 +122,10 @@ def format_results(result: Mapping[str, Any]) -> list[PageSection]:
         ordered = dict(sorted(facts.items(), key=_get_fact_order))
         rows = _make_summary_rows(ordered, units.get(name, {}))
         models.append(PageSection(f"Model: {name}", rows))
+    reduced = []
+    for name, certificate in _get_reduced_model_records(result).items():
+        title = f"Reduced model: {name}" if name else "Reduced model"
+        reduced.append(PageSection(title, _make_certificate_rows(certificate)))
     check_rows = list(map(_make_check_row, checks))
     check_head = ("", "check", "value", "limit", "if exceeded")
     attempt_head = ("setting", "changes", "outcome", "blamed", "time")
@@ -132,10 +135,7 @@ def format_results(result: Mapping[str, Any]) -> list[PageSection]:
         ),
         PageSection("Checks, closest to the limit first", check_rows, check_head, CHECKS_NOTE),
         *models,
-        *(
-            PageSection(f"Reduced model: {name}" if name else "Reduced model", rows)
-            for name, rows in _list_certificate_tables(result)
-        ),
+        *reduced,
         *map(_format_modes, modes, modes.values()),
         PageSection("Retries", tried, attempt_head, RETRIES_NOTE),
         PageSection("Run time", _make_time_rows(result), ("stage", "time")),
@@ -203,14 +203,6 @@ def _make_certificate_rows(certificate: Mapping[str, Any]) -> Rows:
     if "norm" in facts:
         facts["norm"] = NORM_WORDS.get(facts["norm"], facts["norm"])
     return [*_make_summary_rows(facts, {}), *format_above_band(certificate)]
-
-
-def _list_certificate_tables(result: Mapping[str, Any]) -> list[tuple[str, Rows]]:
-    """List the certificate table of each reduced model: its part name and its rows."""
-    tables = []
-    for name, certificate in _get_reduced_model_records(result).items():
-        tables.append((name, _make_certificate_rows(certificate)))
-    return tables
 
 
 def _get_reduced_model_records(result: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:

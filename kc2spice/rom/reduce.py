@@ -292,7 +292,7 @@ def find_basis_of_order(
     """
     assert target.order is not None
     bases = {} if bases is None else bases
-    reductor = find_reductor(target.method) if target.method is not None else None
+    reductor = reductors[0] if target.method is not None else None
     key = id(reductor)
     if key not in bases:
         if reductor is not None:
@@ -301,7 +301,7 @@ def find_basis_of_order(
             suited = (item for item in reductors if item.congruence and item.applies_to(task))
             candidates = (item.basis(task) for item in suited)
             bases[key] = None, [basis for basis in candidates if basis is not None]
-    prescribed = target.method is not None
+    prescribed = reductor is not None
     return select_basis(bases[key][1], target.order, prescribed=prescribed), target.order
 
 

@@ -374,7 +374,7 @@ def _advise_drive(scene: Scene, ports: Sequence[tuple[str, str]]) -> str:
     near = [source for source in sources if f"{source.name}.out" in targets]
     near += [source for source in sources if {*map(".".join, ports)} & {*source.pins.values()}]
     if sources:
-        source = [*near, *sources][0]
+        source = (near or sources)[0]
         return f'write  ac = "1 {getattr(source.keys, "unit", "V")}"  in [{source.name}]'
     name = NameAllocator(scene.parts).allocate_name("drive", "drive")
     for part in scene.parts.values():

@@ -15,7 +15,7 @@ from operator import attrgetter
 from string import ascii_lowercase
 from typing import Any
 
-from kc2spice.core.domains import ELECTRICAL, QUANTITIES, Domain, find_across_quantity
+from kc2spice.core.domains import ELECTRICAL, QUANTITIES, Domain
 from kc2spice.core.errors import UsageError, did_you_mean, list_candidates, unknown
 from kc2spice.scene.part_records import EquilibriumConditions
 from kc2spice.scene.parttype import find_current_into
@@ -572,7 +572,7 @@ def describe_nets(scene: Scene) -> tuple[str, ...]:
 
     A line begins with the quantity that is equal on all pins of the net, or with ``gnd``.
     """
-    nets: dict[str, list[tuple[str, str]]] = {}
+    nets: dict[str, list[Pin]] = {}
     for end, net in scene.nets.items():
         nets.setdefault(net, []).append(end)
     lines = []
@@ -581,7 +581,7 @@ def describe_nets(scene: Scene) -> tuple[str, ...]:
         if net == "0":
             lines.append(f"gnd: {pins}")
         elif len(ends) > 1:
-            quantity = find_across_quantity(scene.terminals[ends[0]].unit)
+            quantity = scene.terminals[ends[0]].across
             name = "signal" if quantity is None else quantity.name.replace("_", " ")
             lines.append(f"{name}: {pins}")
     return tuple(lines)

@@ -19,6 +19,8 @@ from kc2spice.netlist.power_waveforms import PowerTerm
 Pin = tuple[str, str]
 Powers = tuple[PowerTerm, ...]  # terms whose sum is the power of a part, or the power at a pin
 DENSITY_UNIT = "/sqrt(Hz)"  # suffix of the units of spectral densities
+# reason for the limit of the time step if the scene sets ``solver.max_step``
+STEP_SET_BY_USER = "set by solver.max_step"
 PERPENDICULAR_COSINE = 1e-9  # largest rounding error of the cosine of a right angle
 
 

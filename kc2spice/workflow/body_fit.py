@@ -44,6 +44,9 @@ DIFFERENCE_STEP = 1e-5  # step of finite differences in the logarithm of a value
 # Largest number of finite-element models of one fit. Fits of three keys that converge need at most
 # about a hundred models.
 MAX_MODELS = 300
+# Largest number of admittances that one fit computes with reduced models. Fits of three keys that
+# converge compute a few hundred admittances.
+MAX_REDUCED_ADMITTANCES = 2000
 # frequency that counts as static, relative to the lowest frequency of the data
 STATIC_FREQUENCY_RATIO = 1e-3
 # the loss tangent is added to the response, because no finite-element model contains it
@@ -61,11 +64,6 @@ CONSTANT_Q_CAUSE = (
 )
 VISCOUS_CAUSE = 'losses described by viscous damping: set damping.model = "rayleigh"'
 ParameterAxes = dict[str, ParameterAxis]
-
-
-# Largest number of admittances that one fit computes with reduced models. Fits of three keys that
-# converge compute a few hundred admittances.
-MAX_REDUCED_ADMITTANCES = 2000
 
 
 class FitLimitError(Exception):

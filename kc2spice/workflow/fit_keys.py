@@ -16,6 +16,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.unit_spelling import find_range_ends
 from kc2spice.parts.bodies._varied_keys import (
     VariedKey,
+    find_value,
     make_varied_key,
     read_number_key,
     split_key,
@@ -141,14 +142,7 @@ def name_scene_keys(scene: Scene, part: str, values: Mapping[str, float]) -> dic
     result = {}
     for key, value in values.items():
         plain = key.removesuffix("[0]")
-        entry: Any = scene.tables.get(part)
-        for step in split_key(plain):
-            if isinstance(entry, Mapping):
-                entry = entry.get(step)
-            elif isinstance(entry, (list, tuple)) and isinstance(step, int):
-                entry = entry[step]
-            else:
-                entry = None
+        entry = find_value(scene.tables.get(part), split_key(plain))
         result[f"{part}.{key if isinstance(entry, (list, tuple)) else plain}"] = value
     return result
 

@@ -104,7 +104,7 @@ def compare_methods(
             order=order,
             band=reduction.band,
             norm=reduction.norm,
-            solver=require_solver(solver, "--solver"),
+            solver=solver,
         )
         rows.append(_run_method(reduction, DEFAULT_ROW, default))
     rows.sort(key=lambda row: (row["states"] is None, row["states"] or 0))

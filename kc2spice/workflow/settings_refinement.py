@@ -148,11 +148,10 @@ class RefinedRuns:
             if part is None or not steps.get(setting.name):
                 continue
             assert isinstance(part.type, MeshedBody)
-            dimensions = part.type.dimensions(part)
             refined = setting.refine_keys(steps[setting.name])[setting.name]
             grown = part.type.estimate_mesh_growth(part, setting.value, refined)
             unknowns = grown * self.start.build.get_model_values(part)["unknowns"]
-            need = estimate_factor_bytes(unknowns, dimensions)
+            need = estimate_factor_bytes(unknowns, part.type.dimensions(part))
             most, memory = self.mesh_limits
             if unknowns > most or need > memory:
                 got = f"about {_format_size(unknowns, need)}"

@@ -32,7 +32,7 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.equations.networks import Network, get_law_name, list_pin_kinds
 from kc2spice.equations.scene_laws import get_scene_laws
 from kc2spice.scene.checks import Check, RunEnergyBalance
-from kc2spice.scene.part_records import PartResult, StepLimit
+from kc2spice.scene.part_records import STEP_SET_BY_USER, PartResult, StepLimit
 from kc2spice.scene.scene_classes import BuiltScene
 
 if TYPE_CHECKING:
@@ -79,7 +79,7 @@ def choose_largest_step(build: BuiltScene) -> StepLimit:
     """
     scene = build.scene
     if scene.solver.max_step is not None:
-        return StepLimit(scene.solver.max_step, "set by solver.max_step")
+        return StepLimit(scene.solver.max_step, STEP_SET_BY_USER)
     scales = scene.numerics
     decided = min(
         filter(attrgetter("overrides_others"), scales), key=attrgetter("step"), default=None

@@ -114,7 +114,7 @@ def parse_units(text: str) -> list[Unit]:
 
     Raises
     ------
-    ColumnTitleError : the letter case makes the prefix ambiguous, as in ``mhz`` or ``MF``.
+    ValueError : the letter case makes the prefix ambiguous, as in ``mhz`` or ``MF``.
     """
     plain = _clean_text(text).replace(" ", "")
     result = []
@@ -138,7 +138,7 @@ def _find_prefix_factor(prefix: str, base: str, measures: str, text: str) -> flo
 
     Raises
     ------
-    ColumnTitleError : the prefix may mean milli or mega.
+    ValueError : the prefix may mean milli or mega.
     """
     if len(prefix) > 1:
         return None
@@ -178,8 +178,9 @@ def read_title(text: str) -> ColumnTitle | None:
 
     Raises
     ------
-    ColumnTitleError : the title's unit does not belong to its quantity, the prefix of the unit is
-        ambiguous, or a unit is missing that would identify the quantity.
+    ColumnTitleError : the title's unit does not belong to its quantity, or a unit is missing that
+        would identify the quantity.
+    ValueError : the prefix of the unit is ambiguous.
     """
     plain = _clean_text(text).lstrip(COMMENT_MARKS).strip()
     sign = -1.0 if re.match(r"-\s*[^\s\d-]", plain) else 1.0
@@ -197,8 +198,7 @@ def read_title(text: str) -> ColumnTitle | None:
                 raise ColumnTitleError(
                     f"column {text.strip()!r} has no unit; its values can be "
                     f"{' or '.join(choices)}, so add the unit to the title",
-                    f"if the values are in {DEFAULT_UNITS[meanings[0].measures[0]]}, write the "
-                    f"title  {_write_title(stem, meanings[0].measures[0])}",
+                    _advise_title(stem, meanings[0].measures[0]),
                 )
             return ColumnTitle(text, first, sign, None)
         units = parse_units(unit_text)
@@ -210,18 +210,18 @@ def read_title(text: str) -> ColumnTitle | None:
         if unfit is None:
             unfit = ColumnTitleError(
                 f"column {text.strip()!r}: {unit_text!r} is not a unit of {measures}",
-                f"if the values are in {DEFAULT_UNITS[measures]}, write the title  "
-                f"{_write_title(stem, measures)}",
+                _advise_title(stem, measures),
             )
     if unfit is not None:
         raise unfit
     return None
 
 
-def _write_title(stem: str, measures: str) -> str:
-    """Write a column title with the default unit of a measured quantity."""
+def _advise_title(stem: str, measures: str) -> str:
+    """Return the advice to write a title with the default unit of a measured quantity."""
     unit = DEFAULT_UNITS[measures]
-    return f"{stem.strip()} ({unit})" if unit else stem.strip()
+    title = f"{stem.strip()} ({unit})" if unit else stem.strip()
+    return f"if the values are in {unit}, write the title  {title}"
 
 
 def _describe_quantity(meaning: ColumnKind) -> str:

@@ -544,13 +544,13 @@ def _make_complex_response(
         remarks.append(
             f"no reference resistance for the S parameters; {DEFAULT_REFERENCE:g} Ohm is assumed"
         )
-    else:
-        unit = DEFAULT_UNITS["impedance" if quantity == "Z" else "admittance"]
+    elif "(" in text or "_" in text:
         remarks.append(
             f"{text}: complex numbers, read as {quantity} in the unit given in the column title"
         )
-        if "(" not in text and "_" not in text:
-            remarks[-1] = f"{text}: the unit {unit} is assumed"
+    else:
+        unit = DEFAULT_UNITS["impedance" if quantity == "Z" else "admittance"]
+        remarks.append(f"{text}: the unit {unit} is assumed")
     summary = f"{frequency}, {quantity} from {text!r}"
     summary += describe_unused(titles, (text, frequency.title.text))
     return _make_response(frequency.values, quantity, samples, DEFAULT_REFERENCE, remarks, summary)

@@ -588,6 +588,7 @@ def _assemble_piezoelectric(rows: LabelledMatrices) -> LinearModel:
     potential = rows.get_row_dofs(rows.where).kind == VOLT
     K, loss = _split_loss(rows, K, potential)
     occupied = rows.mask_fixed_rows()
+    free = np.flatnonzero(~occupied)
     electrodes = [entry for entry in settings.ports if entry.kind == ELECTRICAL.port]
     T = np.zeros((rows.size, len(electrodes)))
     for column, entry in zip(T.T, electrodes, strict=True):
@@ -602,7 +603,6 @@ def _assemble_piezoelectric(rows: LabelledMatrices) -> LinearModel:
             )
         column[place], occupied[place] = 1.0, True
     u, p = np.flatnonzero(~occupied & ~potential), np.flatnonzero(~occupied & potential)
-    free = np.flatnonzero(~rows.mask_fixed_rows())
     _warn_of_asymmetry(rows, {"M": _select_entries(M, free), "K": _select_entries(K, free)})
     KT = K @ T
     c = -(T.T @ KT)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -184,21 +185,23 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
         low, high = 0.0, math.inf
         if "frequency" in waves:
             low, high = waves["frequency"].real.min(), waves["frequency"].real.max()
-        coupling = {
-            mode["frequency_hz"]: max(map(mode["couplings"].__getitem__, electrodes))
-            for mode in table["modes"]
-        }
-        inside = [f for f in coupling if low <= f <= high]
+
+        def find_coupling(mode: Mapping[str, Any]) -> float:
+            """Return the largest coupling factor of a mode to an electrode."""
+            return max(map(mode["couplings"].__getitem__, electrodes))
+
+        inside = [mode for mode in table["modes"] if low <= mode["frequency_hz"] <= high]
         if not inside:
             return
-        strongest = max(inside, key=coupling.__getitem__)
-        ratio, size = strongest / first, coupling[strongest]
-        lowest = coupling[min(coupling, key=lambda f: abs(f - first))]
-        is_strongest = low <= first <= high and size <= STRONG_COUPLING_RATIO * lowest
+        strongest = max(inside, key=find_coupling)
+        ratio, size = strongest["frequency_hz"] / first, find_coupling(strongest)
+        nearest = min(table["modes"], key=lambda mode: abs(mode["frequency_hz"] - first))
+        largest = STRONG_COUPLING_RATIO * find_coupling(nearest)
+        is_strongest = low <= first <= high and size <= largest
         if is_strongest or ratio <= SAME_DAMPING_RATIO or size < VISIBLE_COUPLING:
             return
-        (quality,) = (m["quality"] for m in table["modes"] if m["frequency_hz"] == strongest)
-        at, applied = format_quantity(strongest, "Hz", 4), format_quantity(first, "Hz", 4)
+        quality, frequency = strongest["quality"], strongest["frequency_hz"]
+        at, applied = format_quantity(frequency, "Hz", 4), format_quantity(first, "Hz", 4)
         q_factor = f"a Q factor of {quality:.3g}" if quality else "no damping"
         advice = (
             f"{part.name}.damping.{key} applies to the mode at {applied}, but voltages in the "

@@ -13,7 +13,7 @@ from __future__ import annotations
 import json
 import re
 from abc import abstractmethod
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from itertools import filterfalse
@@ -28,6 +28,7 @@ from kc2spice.core.mesh_error_descriptions import MESH_LIMIT_NAME, list_limited_
 from kc2spice.core.progress import StageTimer
 from kc2spice.core.si_prefix_format import format_quantity
 from kc2spice.core.waveforms import Waveforms
+from kc2spice.fem.materials import Material, advise_missing_ceramic_keys
 from kc2spice.parts.bodies._body_figures import draw_deformed_body, draw_modes
 from kc2spice.parts.bodies._linear_body_keys import FieldKeys, FieldKeysT
 from kc2spice.parts.bodies._neglected_effects import (
@@ -340,6 +341,25 @@ def check_mesh_values(name: str, values: Mapping[str, float], highest: float) ->
 def list_field_instants(part: Part[FieldKeys]) -> tuple[float, ...]:
     """Return the times [s] listed in the key ``fields``; empty without a list."""
     return part.keys.fields if isinstance(part.keys.fields, tuple) else ()
+
+
+def list_layer_materials(layers: Iterable[Any]) -> dict[str, str | dict[str, Any]]:
+    """Return the name or the table of the material of each layer, by the key of the material."""
+    return {f"layers[{i}].material": layer.material for i, layer in enumerate(layers)}
+
+
+def make_missing_ceramic_error(
+    where: str, problem: str, layers: Iterable[Any], materials: Iterable[Material]
+) -> UsageError:
+    """Make the error for a part at ``where`` without a layer of a piezoelectric material."""
+    return wrong(
+        f"{where}.layers",
+        problem,
+        got=", ".join(f"layers[{i}] ({one.name})" for i, one in enumerate(materials)),
+        expected='a layer of a piezoelectric material, such as "PZT-5A"',
+        hint=advise_missing_ceramic_keys(list_layer_materials(layers))
+        or 'write  material = "PZT-5A"  in one of the layers',
+    )
 
 
 class BondedBody(MeshedBody[FieldKeysT]):

@@ -242,7 +242,7 @@ def _list_numeric_keys(value: Any, name: str = "") -> Iterator[str]:
             yield from _list_numeric_keys(item, f"{name}[{k}]")
 
 
-def _find_value(keys: Any, path: Sequence[str | int]) -> Any:
+def find_value(keys: Any, path: Sequence[str | int]) -> Any:
     """Return the value at a path of names and indices, or None if the path does not exist."""
     for step in path:
         if isinstance(step, str):
@@ -259,7 +259,7 @@ def _has_named_material(keys: Any, key: str) -> bool:
     path = split_key(key)
     if "material" not in path:
         return False
-    return isinstance(_find_value(keys, path[: path.index("material") + 1]), str)
+    return isinstance(find_value(keys, path[: path.index("material") + 1]), str)
 
 
 def _find_missing_entry(keys: Any, key: str) -> tuple[str, int] | None:
@@ -270,7 +270,7 @@ def _find_missing_entry(keys: Any, key: str) -> tuple[str, int] | None:
     path = split_key(key)
     for depth, step in enumerate(path):
         if isinstance(step, int):
-            entries = _find_value(keys, path[:depth])
+            entries = find_value(keys, path[:depth])
             if not isinstance(entries, list | tuple):
                 return None
             if not -len(entries) <= step < len(entries):

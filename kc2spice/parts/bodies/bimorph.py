@@ -46,7 +46,11 @@ from kc2spice.fem.body_keys import BodyMeshKeys, DampingKeys
 from kc2spice.fem.materials import advise_missing_ceramic_keys, find_material
 from kc2spice.parts.bodies._body_ports import get_wave_name
 from kc2spice.parts.bodies._linear_body_keys import FieldKeys
-from kc2spice.parts.bodies._meshed_bodies import BondedBody
+from kc2spice.parts.bodies._meshed_bodies import (
+    BondedBody,
+    list_layer_materials,
+    make_missing_ceramic_error,
+)
 from kc2spice.scene.checks import Check, RunEnergyBalance
 from kc2spice.scene.part_records import NeglectedEffect
 from kc2spice.scene.parttype import register_part_type
@@ -216,9 +220,7 @@ def make_bimorph_blocks(
             "wiring",
             "the key `wiring` needs a piezoelectric layer",
             got=beam.wiring,
-            hint=advise_missing_ceramic_keys(
-                {f"layers[{i}].material": layer.material for i, layer in enumerate(beam.layers)}
-            )
+            hint=advise_missing_ceramic_keys(list_layer_materials(beam.layers))
             or 'delete the key `wiring`, or write  material = "PZT-5A"  for a layer',
         )
     length, width, top = beam.length, beam.width, heights[-1]
@@ -341,19 +343,16 @@ class Bimorph(BondedBody[BimorphKeys]):
     def problems(self, part: Part[BimorphKeys], scene: GovernedScene) -> Iterator[UsageError]:
         """Yield an error for each invalid key, and for electrodes without a ceramic."""
         yield from super().problems(part, scene)
-        layers = {f"layers[{i}].material": x.material for i, x in enumerate(part.keys.layers)}
         if not part.pins.keys() & {"anode", "cathode"}:
             return
-        materials = [find_material(item, f"{part.name}.{key}") for key, item in layers.items()]
+        layers = part.keys.layers
+        materials = [
+            find_material(item, f"{part.name}.{key}")
+            for key, item in list_layer_materials(layers).items()
+        ]
         if not any(one.is_piezoelectric for one in materials):
-            yield part.wrong(
-                "layers",
-                "the pins anode and cathode need a piezoelectric layer",
-                got=", ".join(f"layers[{i}] ({one.name})" for i, one in enumerate(materials)),
-                expected='a layer of a piezoelectric material, such as "PZT-5A"',
-                hint=advise_missing_ceramic_keys(layers)
-                or 'write  material = "PZT-5A"  in one of the layers',
-            )
+            problem = "the pins anode and cathode need a piezoelectric layer"
+            yield make_missing_ceramic_error(part.name, problem, layers, materials)
 
     def list_neglected_effects(
         self, part: Part[BimorphKeys], scene: Scene

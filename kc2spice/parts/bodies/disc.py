@@ -24,7 +24,7 @@ from pydantic import Field, model_validator
 
 from kc2spice.bodies.solid_models import Block, BondedBlocks, Box, list_outer_faces
 from kc2spice.bodies.undamped_models import FiniteElementModel
-from kc2spice.core.errors import UsageError, wrong
+from kc2spice.core.errors import wrong
 from kc2spice.core.key_errors import validate_table
 from kc2spice.core.quantities import (
     Length,
@@ -38,7 +38,7 @@ from kc2spice.core.si_prefix_format import format_quantity
 from kc2spice.fem.body_keys import BodyMeshKeys, DampingKeys
 from kc2spice.fem.materials import advise_missing_ceramic_keys, find_material
 from kc2spice.parts.bodies._linear_body_keys import FieldKeys
-from kc2spice.parts.bodies._meshed_bodies import BondedBody
+from kc2spice.parts.bodies._meshed_bodies import BondedBody, make_missing_ceramic_error
 from kc2spice.scene.parttype import register_part_type
 from kc2spice.scene.scene_classes import GovernedScene, Part
 
@@ -242,16 +242,8 @@ def _make_blocks(disc: DiscKeys, where: str) -> list[Block]:
         for i, layer in enumerate(disc.layers)
     ]
     if not any(one.is_piezoelectric for one in materials):
-        raise UsageError(
-            "the disc has no piezoelectric layer",
-            where=f"{where}.layers",
-            got=", ".join(f"layers[{i}] ({one.name})" for i, one in enumerate(materials)),
-            expected='a layer of a piezoelectric material, such as "PZT-5A"',
-            hint=advise_missing_ceramic_keys(
-                {f"layers[{i}].material": layer.material for i, layer in enumerate(disc.layers)}
-            )
-            or 'write  material = "PZT-5A"  in one of the layers',
-        )
+        problem = "the disc has no piezoelectric layer"
+        raise make_missing_ceramic_error(where, problem, disc.layers, materials)
     for i, (layer, one, span) in enumerate(zip(disc.layers, materials, ends, strict=True)):
         here = f"{where}.layers.{i}"
         if layer.electrodes is not None and not one.is_piezoelectric:

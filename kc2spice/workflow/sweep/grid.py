@@ -209,8 +209,13 @@ def _find_unequal_unit_use(
     spellings = [f"{word}{unit}" if _lacks_unit(word) else word for word in words]
     in_si = [f"{word} {si_unit}" if _lacks_unit(word) else word for word in words]
     descending = text.startswith("normal")  # a mean is usually larger than its deviation
-    if si_unit and not is_list and not _are_sorted(spellings, si_unit, descending):
-        spellings = in_si if _are_sorted(in_si, si_unit, descending) else spellings
+    if (
+        si_unit
+        and not is_list
+        and not _are_sorted(spellings, si_unit, descending)
+        and _are_sorted(in_si, si_unit, descending)
+    ):
+        spellings = in_si
     advice, end = "", 0
     for word, spelling in zip(words, spellings, strict=True):
         begin = text.index(word, end)

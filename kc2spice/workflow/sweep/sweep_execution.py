@@ -231,7 +231,7 @@ def _advise_negated_range(
             kind, words = split_range(text)
             ends = words if kind == "list" else words[:2]
             rejected = (error.where or "").startswith(f"--set '{name}=")
-            if rejected and kind in ("list", "linear", "log") and not text.count("-"):
+            if rejected and kind in ("list", "linear", "log") and "-" not in text:
                 negated = [f"-{word}" for word in ends]
                 with suppress(UsageError):
                     for word in negated:
