@@ -10,6 +10,7 @@ from typing import Any
 
 import typer
 
+from kc2spice.core.error_norms import NORM_WORDS
 from kc2spice.core.errors import UsageError
 
 
@@ -57,6 +58,14 @@ PARAMETERS = {
         metavar="SCENE",
         help=(
             "Name of a built-in scene, part number from the parts library, or path of a TOML file."
+        ),
+        autocompletion=_complete_scene_names,
+    ),
+    "scenes.scene": typer.Argument(
+        metavar="SCENE",
+        help=(
+            "Built-in scene or part number whose TOML text is printed. Default: list all built-in "
+            "scenes."
         ),
         autocompletion=_complete_scene_names,
     ),
@@ -205,9 +214,9 @@ PARAMETERS = {
     "method": typer.Option(
         metavar="NAME",
         help=(
-            "Reduction method, such as 'response POD'; 'compare' prints a table of all "
-            "methods. Default: response POD or balanced truncation, whichever yields "
-            "fewer states."
+            "Reduction method, such as 'response POD'. By default, response POD; if all ports are "
+            "signals, balanced truncation is tried too, and the model with the fewest states is "
+            "the result. 'compare' prints a table with the number of states of each method."
         ),
     ),
     "solver": typer.Option(
@@ -221,8 +230,8 @@ PARAMETERS = {
     "norm": typer.Option(
         metavar="NORM",
         help=(
-            "Norm of the error: pointwise (relative to the response at each frequency) or "
-            "peak (relative to the largest response in the band). Default: peak if all ports "
+            f"Norm of the error: pointwise (relative to {NORM_WORDS['pointwise']}) or "
+            f"peak (relative to {NORM_WORDS['peak']}). Default: peak if all ports "
             "are signals, otherwise pointwise."
         ),
     ),

@@ -107,7 +107,7 @@ def check_installation() -> Iterator[InstallationFinding]:
             yield InstallationFinding(library, False, "not installed", fix, package=True)
     if sys.platform == "linux":
         missing = [soname for soname in _GMSH_LIBRARIES if not _can_load_library(soname)]
-        result = "missing " + ", ".join(missing) if missing else f"all {len(_GMSH_LIBRARIES)}"
+        result = "missing " + ", ".join(missing) if missing else f"all {len(_GMSH_LIBRARIES)} found"
         fix = make_install_command(*(_GMSH_LIBRARIES[item] for item in missing)) if missing else ""
         yield InstallationFinding("system libraries of gmsh", not missing, result, fix)
     folder = find_cache_dir()

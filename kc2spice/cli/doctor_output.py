@@ -25,7 +25,7 @@ def print_findings(program: str, findings: Sequence[InstallationFinding]) -> Non
     if installed:
         names = ", ".join(f"{finding.name} {finding.state}" for finding in installed)
         rows.append(("ok", "Python packages", names, ""))
-    head: tuple[str, ...] = ("", "check", "found", "fix")
+    head: tuple[str, ...] = ("", "check", "result", "fix")
     if not faults:
         rows, head = [row[:-1] for row in rows], head[:-1]
     print_table("Checks", rows, head)

@@ -23,6 +23,7 @@ from kc2spice.cli.terminal_output import (
     INTERRUPTED_EXIT_CODE,
     PIPED_COLUMNS,
     OutputRecipient,
+    print_files,
     print_table,
     print_tables,
     report_errors,
@@ -47,7 +48,7 @@ EXAMPLES = {
         "kc2spice explain buzzer_7bb_20_6",
         "kc2spice explain impact --set contact.shape=pressure",
     ),
-    "scenes": ("kc2spice scenes", "kc2spice scenes --part disc"),
+    "scenes": ("kc2spice scenes buzzer_square > my.toml", "kc2spice scenes --part disc"),
     "parts": ("kc2spice parts murata", "kc2spice parts relay --json"),
     "doctor": ("kc2spice doctor", "kc2spice doctor --json"),
     "reduce": (
@@ -256,7 +257,8 @@ def _export(
         except UsageError as error:
             if overrides and error.where == f"--set {overrides[0]!r}":
                 error.where, error.got = "--tolerance", f"{tolerance:g}"
-                error.hint = error.hint and error.hint.replace("rom.tolerance", "--tolerance")
+                hint = (error.hint or "").replace("--set rom.tolerance=", "--tolerance ")
+                error.hint = hint.replace("rom.tolerance", "--tolerance") or None
             raise
         out, head = out or Path(loaded.name), {"scene": loaded.name}
         choices: dict[str, Any] = {"trust": trust, "count": count, "solver": solver}
@@ -265,7 +267,7 @@ def _export(
     if caller.print_json_if_requested(
         {**head, "files": [path.name for path in files]}, files[0].parent
     ):
-        print_table("files", [(str(path),) for path in files])
+        print_files(files[0].parent, [path.name for path in files])
 
 
 @_register_command
@@ -353,18 +355,24 @@ def _explain(caller: OutputRecipient, scene: str, set_: list[str] | None = None)
 
 @_register_command
 def _scenes(
-    caller: OutputRecipient, keys: bool = False, parts: bool = False, part_type: str | None = None
+    caller: OutputRecipient,
+    scene: str | None = None,
+    keys: bool = False,
+    parts: bool = False,
+    part_type: str | None = None,
 ) -> None:
-    """List the built-in scenes, the part types, or the keys of a type."""
+    """List the scenes or part types, or print a scene as TOML."""
     from dataclasses import asdict
 
     from kc2spice.cli.part_type_output import print_keys, print_part_type
+    from kc2spice.cli.usage_errors import read_scene_toml
     from kc2spice.scene.keys import list_all_keys
     from kc2spice.scene.load import load_scene
     from kc2spice.scene.part_type_descriptions import describe_part_type, describe_part_types
     from kc2spice.scene.scene_file import list_gallery
 
     options = {"--keys": keys, "--parts": parts, f"--part {part_type}": part_type is not None}
+    options = {str(scene): scene is not None} | options
     first, *others = [name for name, chosen in options.items() if chosen] or [""]
     for other in others:
         raise UsageError(
@@ -386,6 +394,12 @@ def _scenes(
         doc = describe_part_type(part_type)
         if caller.print_json_if_requested(asdict(doc)):
             print_part_type(doc)
+    elif scene is not None:
+        text = read_scene_toml(scene)
+        if caller.as_json:
+            caller.print_json_if_requested({"scene": scene, "toml": text})
+        else:
+            print(text, end="")
     else:
         titles = {name: load_scene(name).title for name in list_gallery()}
         if caller.print_json_if_requested(titles):
@@ -467,52 +481,10 @@ def _reduce(
     with use_options_in_errors(options), caller.open_progress_display() as progress:
         result = reduce_study(model, out, **options, progress=progress)
     if caller.print_json_if_requested(result):
-        from kc2spice.report.run_page import format_above_band
+        from kc2spice.cli.reduction_output import print_reduction
 
-        low, high = result["band_hz"]
-        form = result.get("full_form", result["form"])
-        states = _format_states(result) + ("" if form == result["form"] else f", {result['form']}")
-        rows = [
-            ("equations", f"{result['unknowns']}, {form}"),
-            ("states", states),
-            ("band", f"{low:g} … {high:g} Hz"),
-            ("error estimate", f"{result['error_estimate']:.3g}, {result['norm']}"),
-            *format_above_band(result),
-            *map(_format_parameter_row, result.get("parameters", {}).values()),
-            ("stable", {True: "yes", False: "NO", None: "not known"}[result["stable"]]),
-            ("passive", "yes" if result["passive"] else "not shown"),
-            ("method", result["method"]),
-            ("reduced model", result["rom"]),
-        ]
-        if "data" in result:
-            rows.insert(0, ("data", result["data"]))
-        print_table("reduced model", rows)
-        for kind in ("notes", "warnings"):
-            for text in result.get(kind, ()):
-                print(f"{kind[:-1]}: {text}")
+        print_reduction(result)
     require_stable(result)
-
-
-def _format_states(result: dict[str, Any]) -> str:
-    """Return the number of states of a reduced model, and of its first-order form.
-
-    For a model of measured data, only the number of unknowns is returned. In the model of measured
-    data, an unknown without inertia has one first-order state, and any other unknown has two.
-    """
-    order = result["order"]
-    if result["form"] == "first order" or "data" in result:
-        return str(order)
-    return f"{order} ({2 * order} of first order)"
-
-
-def _format_parameter_row(parameter: dict[str, Any]) -> tuple[str, str]:
-    """Return the table row of a parameter of the reduced model."""
-    low, high = parameter["low"], parameter["high"]
-    unit = "" if parameter["unit"] == "-" else f" {parameter['unit']}"
-    return f"parameter {parameter['name']}", f"{low:g} … {high:g}{unit}"
-
-
-METHOD_COLUMNS = "method", "first-order states", "error estimate", "of the peak", "CPU time"
 
 
 def _compare_methods(
@@ -534,19 +506,10 @@ def _compare_methods(
     with use_options_in_errors(options), caller.open_progress_display() as progress:
         result = compare_methods(model, **options, progress=progress)
     if caller.print_json_if_requested(result):
-        title = f"{result['unknowns']} equations, error {result['norm']}"
-        print_table(title, list(map(_format_method_row, result["methods"])), METHOD_COLUMNS)
-        print(f"CPU time of the basis that all methods use: {result['shared_cpu_s']:.2g} s")
+        from kc2spice.cli.reduction_output import print_comparison
+
+        print_comparison(result)
     require_stable(result)
-
-
-def _format_method_row(row: dict[str, Any]) -> tuple[str, ...]:
-    """Return the table row of a reduction method, with the reason of a failure."""
-    cpu = f"{row['cpu_s']:.2g} s"
-    if row["states"] is None:
-        return row["method"], "-", row["reason"], "", cpu
-    errors = (f"{row[key]:.2g}" for key in ("error_estimate", "peak_error"))
-    return row["method"], str(row["states"]), *errors, cpu
 
 
 @_register_command
@@ -583,9 +546,11 @@ def _fit(
         out = out or Path(f"{part}_fit")
         result = fit_study(scene, part, data, vary or (), out, progress, shunt=shunt)
     if caller.print_json_if_requested(result):
+        from kc2spice.cli.reduction_output import print_notes
         from kc2spice.report.fit_page import format_fit
 
         print_tables(format_fit(result))
+        print_notes(result)
         print(f"values, for --set: {result['overrides']}\nwith plots: {result['page']}")
 
 
@@ -683,13 +648,18 @@ def _sweep(
             print(f"kc2spice: interrupted; {state}", file=sys.stderr)
             raise typer.Exit(INTERRUPTED_EXIT_CODE) from None
     if caller.print_json_if_requested(result):
-        rows = [(name, str(result[name])) for name in ("points", "failed", "resumed", "table")]
+        rows = [
+            ("points", str(result["points"])),
+            ("failed", str(result["failed"])),
+            ("from an earlier run", str(result["resumed"])),
+            ("table", str(out / table)),
+        ]
         for name, share in result.get("yield", {}).items():
             low, high = share["low"], share["high"]
             rows.append((f"{name}: yield", f"{share['share']:.4g} (95 %: {low:.4g} … {high:.4g})"))
-        if result.get("files"):
-            rows.append(("files", ", ".join(result["files"])))
-        print_table("sweep", rows)
+        pages = (name for name in result.get("files", ()) if name.endswith(".html"))
+        rows += [("report", str(out / name)) for name in pages]
+        print_table(f"Sweep of {result['scene']}", rows)
     if result["points"] == result["failed"]:
         raise SimulationError(
             "every point of the sweep failed",

@@ -35,8 +35,17 @@ FILE_PURPOSES = {
     "waveforms.npz": "waveforms",
     "waveforms.csv": "waveforms",
     ".raw": "waveforms",
-    "_plot.sp": "plots in ngspice",
+    "_plot.sp": "ngspice script for plots",
+    ".ltspice.lib": "subcircuits for LTspice",
+    ".asy": "symbols for LTspice",
     ".lib": "subcircuits",
+    ".va": "Verilog-A modules",
+    ".cir": "netlist of the scene",
+    ".kicad_pro": "KiCad project",
+    ".kicad_sch": "KiCad project",
+    ".kicad_sym": "KiCad project",
+    ".wbk": "KiCad project",
+    "sym-lib-table": "KiCad project",
     ".png": "figures",
     "em_table.npz": "force table",
 }
@@ -89,7 +98,7 @@ def _make_printer_of_long_stages() -> Progress:
             starts[stage] = now
             return
         elapsed = now - starts.setdefault(stage, now)
-        remaining = elapsed * (1 - done) / done
+        remaining = _extrapolate_remaining_time(elapsed, done)
         if stage not in printed and elapsed > MIN_ELAPSED_TIME and remaining > LONG_TIME:
             printed.add(stage)
             left = _describe_remaining_time(remaining)
@@ -132,12 +141,21 @@ def _show_progress_bars() -> Iterator[Progress]:
                 tasks[stage] = bars.add_task("", total=None, stage=stage, text=text, end=math.inf)
             total, end = None if done is None else 1.0, math.inf
             if done:
-                elapsed = (now := time.monotonic()) - starts[stage]
-                end = now + elapsed * (1 - done) / done
+                now = time.monotonic()
+                end = now + _extrapolate_remaining_time(now - starts[stage], done)
             bars.update(tasks[stage], total=total, completed=done or 0.0, text=text, end=end)
 
         yield update_bar
         fill_bars()
+
+
+def _extrapolate_remaining_time(elapsed: float, done: float) -> float:
+    """Return the remaining time [s] of a stage of which the fraction ``done`` is complete.
+
+    >>> _extrapolate_remaining_time(elapsed=30.0, done=0.25)
+    90.0
+    """
+    return elapsed * (1 - done) / done
 
 
 def _describe_remaining_time(seconds: float) -> str:
@@ -155,9 +173,15 @@ def _describe_remaining_time(seconds: float) -> str:
 @contextmanager
 def report_errors() -> Iterator[None]:
     """Print an exception of the ``with`` block as one message; exit with its code."""
-    warnings.showwarning = lambda message, *_, **__: print(
-        f"kc2spice: warning: {message}", file=sys.stderr, flush=True
-    )
+    printed = set[str]()
+
+    def print_once(message: Warning | str, *_: object, **__: object) -> None:
+        """Print a warning, unless the command has already printed the same warning."""
+        if str(message) not in printed:
+            printed.add(str(message))
+            print(f"kc2spice: warning: {message}", file=sys.stderr, flush=True)
+
+    warnings.showwarning = print_once
     try:
         yield
         # This flush reports a full disk before the interpreter ends.
@@ -230,15 +254,19 @@ def print_tables(sections: Iterable[PageSection]) -> None:
             print_table(section.title, rows, section.head)
 
 
-def _group_files_by_purpose(result: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Return table rows with the files of a run, grouped by purpose."""
+def print_files(directory: Path, names: Iterable[str], netlist: str | None = None) -> None:
+    """Print the names of the files in ``directory``, grouped by purpose.
+
+    ``netlist`` is the name of the file with the netlist of the scene, if its ending is not
+    ``.cir``.
+    """
     groups = dict[str, list[str]]()
-    for name in map(str, result["files"]):
-        is_deck = name == result.get("netlist")
+    for name in names:
         matches = (purpose for end, purpose in FILE_PURPOSES.items() if name.endswith(end))
-        purpose = "netlist of the scene" if is_deck else next(matches, "other files")
+        purpose = "netlist of the scene" if name == netlist else next(matches, "other files")
         groups.setdefault(purpose, []).append(name)
-    return [(purpose, ", ".join(names)) for purpose, names in groups.items()]
+    rows = [(purpose, ", ".join(group)) for purpose, group in groups.items()]
+    print_table(f"Files in {directory}", rows)
 
 
 def print_result(result: Mapping[str, Any], directory: Path, *, verbose: bool = False) -> None:
@@ -259,7 +287,7 @@ def print_result(result: Mapping[str, Any], directory: Path, *, verbose: bool = 
             print()
             print_tables([section])
     print()
-    print_table(f"Files in {directory}", _group_files_by_purpose(result))
+    print_files(directory, result["files"], result.get("netlist"))
     for raw in (name for name in result["files"] if name.endswith(".raw")):
         rows = [
             ("ngspice", f"load {raw}, then plot VECTOR"),

@@ -18,6 +18,7 @@ from typer.core import TyperCommand, TyperGroup
 
 from kc2spice.cli.terminal_output import report_errors
 from kc2spice.core.errors import UsageError, did_you_mean, list_candidates, unknown
+from kc2spice.core.unit_spelling import convert_percentage
 
 PROGRAM = "kc2spice"
 # Order of the commands in the help: everyday commands, studies, models, installation.
@@ -252,7 +253,7 @@ def _make_extra_word_error(command: Any, words: list[str], typed: list[str]) -> 
     elif "=" in word:
         hint = f"write --set {shlex.quote(word)}"
     elif count == 1 and any("--part" in item.opts for item in command.params):
-        hint = f"write {PROGRAM} {command.name} --part {shlex.quote(word)}"
+        hint = _advise_scenes_argument(f"{PROGRAM} {command.name}", word) or hint
     elif any(item.metavar == _SEARCH_ARGUMENT for item in command.params):
         searched = itertools.takewhile(lambda item: not item.startswith("-"), typed)
         hint = f"write {PROGRAM} {command.name} {shlex.quote(' '.join(searched))}"
@@ -264,6 +265,49 @@ def _make_extra_word_error(command: Any, words: list[str], typed: list[str]) -> 
         expected=" ".join([PROGRAM, command.name, *arguments, "[OPTIONS]"]),
         hint=hint,
     )
+
+
+def read_scene_toml(name: str) -> str:
+    """Read the TOML text of a scene: a built-in scene, a part number or a file.
+
+    If a built-in scene reads netlist files, a comment states their paths.
+
+    Raises
+    ------
+    UsageError : there is no such scene; for the name of a part type, the error advises --part.
+    """
+    from kc2spice.scene.scene_file import list_gallery, open_scene  # slow import
+
+    try:
+        source = open_scene(name)
+    except UsageError as error:
+        if advice := _advise_scenes_argument(f"{PROGRAM} scenes", name):
+            error.hint = advice
+        raise
+    text = f"{source.text.rstrip()}\n"
+    for file in sorted(source.folder.glob("*.lib")) if name in list_gallery() else ():
+        if f'"{file.name}"' in text:
+            text += f"\n# Copy this file into the folder of the scene: {file}\n"
+    return text
+
+
+def _advise_scenes_argument(line: str, word: str) -> str | None:
+    """Advise which argument of ``kc2spice scenes`` a mistyped word probably means.
+
+    Return None if no part type and no option is similar to the word.
+    """
+    from kc2spice.scene.parttype import list_type_names  # slow import
+    from kc2spice.scene.scene_file import list_gallery
+
+    types, scenes = list_type_names(), list_gallery()
+    if word in types:
+        return f"write {line} --part {word}"
+    if word.lower() in ("parts", "part", "types", "keys"):
+        return f"write {line} {'--keys' if word.lower() == 'keys' else '--parts'}"
+    if word in scenes:
+        return f"write {line} {word}"
+    similar = difflib.get_close_matches(word, (*types, *scenes), n=1, cutoff=0.7)
+    return f"write {line} --part {similar[0]}" if similar and similar[0] in types else None
 
 
 def _find_file_with_blanks(typed: list[str]) -> str | None:
@@ -318,8 +362,9 @@ def _make_invalid_number_error(param: Any, typed: list[str], is_integer: bool) -
         unlimited = low is None and high is None
         expected = "a whole number" + ("" if unlimited else f", {limits}") if is_integer else limits
         hint = f"for example {name} {_choose_example_number(param):g}"
-        if high == 1 and len(words) == 1 and 1 < float(words[0]) <= 100:
-            hint = f"for {words[0]} %, write {name} {float(words[0]) / 100:g}"
+        fraction = convert_percentage(float(words[0])) if high == 1 and len(words) == 1 else None
+        if fraction is not None:
+            hint = f"for {words[0]} %, write {name} {fraction:g}"
         return UsageError(problem, where=name, got=" ".join(words), expected=expected, hint=hint)
     if param.name != "band":
         problem, kind = "this value is not a number", "a whole number" if is_integer else "a number"

@@ -139,10 +139,13 @@ def format_percent(ratio: float, digits: int = 3) -> str:
     --------
     >>> format_percent(0.00411), format_percent(3.6e-12), format_percent(0.0)
     ('0.411 %', '< 0.001 %', '0 %')
+    >>> format_percent(1.234, 2)
+    '120 %'
     """
     if 0.0 < abs(ratio) < MIN_RATIO_IN_PERCENT:
         return f"< {100 * MIN_RATIO_IN_PERCENT:g} %"
-    return f"{100 * ratio:.{digits}g} %"
+    rounded = float(f"{100 * ratio:.{digits}g}")
+    return f"{rounded:g} %"
 
 
 def remove_unit_words(unit: str) -> str:

@@ -111,6 +111,7 @@ def _format_quality(record: Mapping[str, Any]) -> list[tuple[str, str]]:
     """
     error = record["error"]
     facts = [
+        *(("data", text) for text in record["read"]),
         ("deviation of |Z|", f"{error['rms']:.2g} rms, {error['largest']:.2g} at most"),
         ("noise of the data", f"{record['noise']:.2g}"),
         ("misfit, in units of the noise", f"{record['misfit']:.2g}"),

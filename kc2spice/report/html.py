@@ -39,6 +39,7 @@ _LABELS = {
     "resonance_hz": "series resonance",
     "antiresonance_hz": "parallel resonance",
     "largest_impedance_hz": "frequency of the largest impedance",
+    "capacitance_f": "low-frequency capacitance",
     "capacitance_free_f": "free capacitance, static",
     "capacitance_clamped_f": "clamped capacitance, static",
     "coupling": "effective coupling factor",

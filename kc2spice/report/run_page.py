@@ -14,12 +14,14 @@ from pathlib import Path
 from typing import Any
 
 from kc2spice.core.domains import ACCELERATION
+from kc2spice.core.error_norms import NORM_WORDS
 from kc2spice.core.figure import Figure
 from kc2spice.core.mesh_error_descriptions import MESH_ERROR_PREFIX
 from kc2spice.core.si_prefix_format import (
     ROUNDING_NOISE,
     format_percent,
     format_quantity,
+    format_ratio,
     format_value_and_limit,
     remove_unit_words,
 )
@@ -64,10 +66,6 @@ PROBE_WORDS = {
     "max": "maximum", "min": "minimum", "final": "final value", "mean": "mean", "rms": "rms",
     "peak_to_peak": "peak-to-peak", "spl": "sound pressure level", "frequency": "frequency",
 }  # fmt: skip
-NORM_WORDS = {
-    "pointwise": "the response at each frequency",
-    "peak": "the largest response in the band",
-}
 MODEL_STAGES = ("mesh", "assemble", "reduce", "magnetics")  # stages with a cache
 MIN_STAGE_TIME = 0.005  # s; shorter stages would be printed as 0.00 s
 MODES_NOTE = (
@@ -197,7 +195,7 @@ def _make_certificate_rows(certificate: Mapping[str, Any]) -> Rows:
     if not facts.get("massless"):
         facts.pop("massless", None)
     if "band_hz" in facts:
-        facts["band_hz"] = _format_band(facts["band_hz"])
+        facts["band_hz"] = format_band(facts["band_hz"])
     if "method" in facts:
         facts["method"] = facts["method"].partition(";")[0]
     if "norm" in facts:
@@ -218,7 +216,7 @@ def _get_reduced_model_records(result: Mapping[str, Any]) -> dict[str, Mapping[s
     return {names[0] if len(names) == 1 else "": result["rom"]}
 
 
-def _format_band(band: Sequence[float]) -> str:
+def format_band(band: Sequence[float]) -> str:
     """Format a frequency band, such as ``504 Hz to 16.8 kHz``."""
     low, high = (format_quantity(frequency, "Hz", 3) for frequency in band)
     return f"{low} to {high}"
@@ -301,6 +299,7 @@ def _make_metric_rows(result: Mapping[str, Any], *, with_lists: bool) -> Rows:
     units, probes = result.get("metric_units", {}), result.get("probes", {})
     errors = result.get("convergence", {}).get("errors", {})
     warned, metrics = result.get("metric_warnings", {}), {}
+    resolutions = result.get("metric_resolutions", {})
     for name, value in flatten_mapping(result.get("metrics", {})):
         is_shown = _is_scalar(value) or (with_lists and _fits_one_row(value))
         if is_shown and name not in warned:
@@ -309,6 +308,8 @@ def _make_metric_rows(result: Mapping[str, Any], *, with_lists: bool) -> Rows:
     rows = {}
     for name, value in metrics.items():
         label, text = _make_summary_row(name, value, units, scales)
+        if value is not None and name in resolutions:
+            text += f" ± {format_quantity(resolutions[name], units.get(name, ''), 3)}"
         if (kind := PROBE_WORDS.get(probes.get(name, {}).get("take"))) is not None:
             text += f", {kind} of {probes[name]['of']}"
         if name in errors:
@@ -320,8 +321,10 @@ def _make_metric_rows(result: Mapping[str, Any], *, with_lists: bool) -> Rows:
 def format_verdict(checks: Sequence[Mapping[str, Any]]) -> str:
     """Return a string with the number of passed checks.
 
-    Examples are ``all 17 passed`` and ``16 of 17 passed``.
+    Examples are ``all 17 passed``, ``16 of 17 passed`` and ``no check applies to this run``.
     """
+    if not checks:
+        return "no check applies to this run"
     passed = sum(map(bool, map(itemgetter("passed"), checks)))
     if passed < len(checks):
         return f"{passed} of {len(checks)} passed"
@@ -340,9 +343,7 @@ def _make_model_rows(result: Mapping[str, Any]) -> Rows:
         label = f"reduced model of {name}" if name else "reduced model"
         text = f"{rom['order']} states"
         if rom.get("error_estimate") is not None and rom.get("band_hz"):
-            band = _format_band(rom["band_hz"]).replace(
-                "0 Hz to ", "up to ", rom["band_hz"][0] == 0
-            )
+            band = format_band(rom["band_hz"]).replace("0 Hz to ", "up to ", rom["band_hz"][0] == 0)
             text += f", error estimate {format_percent(rom['error_estimate'], 2)}, {band}"
         rows.append((label, text))
     return rows
@@ -368,13 +369,17 @@ def _replace_rounding_error(value: Any, scales: Mapping[str, float], unit: str) 
     return 0.0 if noise else value
 
 
-def format_above_band(certificate: Mapping[str, Any]) -> Rows:
-    """Format the mechanical compliance's errors above the band as a table row."""
+def format_above_band(certificate: Mapping[str, Any], *, as_ratio: bool = False) -> Rows:
+    """Format the mechanical compliance's errors above the band as a table row.
+
+    The errors are in percent, or ratios with ``as_ratio``.
+    """
+    format_error = format_ratio if as_ratio else _format_relative_error
     frequencies = certificate.get("above_band_hz", ())
     errors = certificate.get("above_band_compliance_error", ())
     texts = []
     for frequency, error in zip(frequencies, errors, strict=True):
-        texts.append(f"{format_percent(error, 2)} at {format_quantity(frequency, 'Hz')}")
+        texts.append(f"{format_error(error)} at {format_quantity(frequency, 'Hz')}")
     return [("compliance error above the band", ", ".join(texts))] if texts else []
 
 
