@@ -19,6 +19,7 @@ from kc2spice.core.errors import ArgumentError, UsageError, did_you_mean, list_c
 P = ParamSpec("P")
 R = TypeVar("R")
 
+LONGEST_VALUE = 80  # largest number of characters of a value that advice repeats
 _PAIR_OPTION = "band"  # option with two values
 _LIST_OPTION = "vary"  # option that may be repeated; the Python argument is a list
 # A word after an option is its value if it contains a digit, a capital letter or an equals sign.
@@ -151,6 +152,22 @@ def check_arguments(function: Callable[P, R]) -> Callable[P, R]:
     return call
 
 
+def _suggest_overrides(name: str, value: object) -> str:
+    """Suggest the argument ``overrides`` for an unknown argument of a call.
+
+    A table of keys, or a list of texts ``KEY=VALUE``, is suggested unchanged. Any other value is
+    suggested as the value of a key of a part.
+    """
+    texts = list(value) if isinstance(value, (list, tuple)) and value else [value]
+    if isinstance(value, Mapping) or all(isinstance(text, str) and "=" in text for text in texts):
+        keys = repr([value] if isinstance(value, str) else value)
+        return f"to set keys, write overrides={keys if len(keys) <= LONGEST_VALUE else 'VALUE'}"
+    short = repr(value)
+    if len(short) > LONGEST_VALUE:
+        short = "VALUE"
+    return f'to set a key of a part, write overrides={{"PART.{name}": {short}}}'
+
+
 def _make_argument_error(
     function: str,
     signature: inspect.Signature,
@@ -168,8 +185,7 @@ def _make_argument_error(
         name = unknown_names[0]
         hint = did_you_mean(name, parameters) or f"leave out {name}"
         if "overrides" in parameters and hint.startswith("leave out"):
-            value = repr(named_values[name])[:80]
-            hint = f'to set a key of a part, write overrides={{"PART.{name}": {value}}}'
+            hint = _suggest_overrides(name, named_values[name])
         return ArgumentError(
             "this argument does not exist",
             where=function,

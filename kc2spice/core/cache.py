@@ -19,7 +19,6 @@ import shutil
 import sys
 import tempfile
 import time
-import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import fields
@@ -31,6 +30,7 @@ import numpy as np
 
 from kc2spice.core.files import lock_path
 from kc2spice.core.untrusted_files import read_archive
+from kc2spice.core.user_warnings import warn_user
 
 T = TypeVar("T")
 MAX_TOTAL_BYTES = 2_000_000_000
@@ -171,9 +171,7 @@ def _store_result(path: Path, result: Any, known: Mapping[str, type]) -> None:
         os.replace(temporary, path)
         _delete_unused_entries(find_cache_dir())
     except OSError as error:
-        warnings.warn(
-            f"the cache {find_cache_dir()} cannot be written: {error.strerror}", stacklevel=3
-        )
+        warn_user(f"the cache {find_cache_dir()} cannot be written: {error.strerror}")
     finally:
         with contextlib.suppress(OSError):
             temporary.unlink()
@@ -208,9 +206,7 @@ def _load_entry(path: Path, known: Mapping[str, type]) -> tuple[Any] | None:
         )
         result = _decode_value(json.loads(arrays["structure"].tobytes()), arrays, known)
     except Exception as error:
-        warnings.warn(
-            f"the cache entry {path.name} is damaged and is computed again: {error}", stacklevel=3
-        )
+        warn_user(f"the cache entry {path.name} is damaged and is computed again: {error}")
         return None
     with contextlib.suppress(OSError):  # a read-only file keeps its modification time
         os.utime(path)  # records the time of the entry's last use

@@ -11,13 +11,13 @@ import re
 import shutil
 import tempfile
 import time
-import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import chain, count
 from pathlib import Path
 
 from kc2spice.core.errors import UsageError
+from kc2spice.core.user_warnings import warn_user
 
 # Suffixes of the main output files, which are deleted first and written last.
 # Readers thus find no incomplete set of files, even if a run is killed between two renames.
@@ -90,7 +90,7 @@ def stage_directory(out: Path | str, *, with_hashes: bool = False) -> Iterator[P
     ------
     UsageError : the path ``out`` denotes a file, or a directory that cannot be created or written.
     """
-    _require_path(out, "out", "directory", "results")
+    require_path(out)
     if "\0" in str(out):
         raise UsageError(
             "this path contains a zero byte", where=repr(str(out)), hint=_OTHER_DIRECTORY_HINT
@@ -130,10 +130,9 @@ def stage_directory(out: Path | str, *, with_hashes: bool = False) -> Iterator[P
     finally:
         shutil.rmtree(work, ignore_errors=True)
     for name, backup in backups.items():
-        warnings.warn(
+        warn_user(
             f"replaced {Path(typed) / name}, which was edited or has an unknown origin; the old "
-            f"file is now {Path(typed) / backup}",
-            stacklevel=3,
+            f"file is now {Path(typed) / backup}"
         )
 
 
@@ -151,16 +150,21 @@ def make_write_error(typed: str, directory: Path, reason: str) -> UsageError:
     )
 
 
-def _require_path(path: object, argument: str, kind: str, example: str) -> Path:
+def require_path(
+    path: object, argument: str = "out", kind: str = "directory", example: str = "results"
+) -> Path:
     """Return an argument as a path; reject an object that is neither a str nor a Path."""
     if isinstance(path, (str, Path)):
         return Path(path)
+    hint = f'for example {argument}="{example}"'
+    if argument == "out" and isinstance(path, (Mapping, list, tuple)):
+        hint = 'to change keys, write kc.run(SCENE, overrides={"rom.order": 10})'
     raise UsageError(
-        f"this object is not the path of a {kind}",
+        f"{argument} is not the path of a {kind}",
         where=argument,
         got=repr(path)[:120],
         expected="a str or a Path",
-        hint=f'for example "{example}"',
+        hint=hint,
     )
 
 
@@ -172,7 +176,7 @@ def create_parent_folders(path: object) -> Iterator[Path]:
     ------
     UsageError : ``path`` is neither a string nor a path, or the file cannot be written.
     """
-    file = _require_path(path, "path", "file", "results/NAME")
+    file = require_path(path, "path", "file", "results/NAME")
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
         yield file

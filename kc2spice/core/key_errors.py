@@ -31,6 +31,7 @@ from kc2spice.core.synonyms_from_other_programs import (
     REPLACED_KEYS,
 )
 from kc2spice.core.toml_text import display_text, format_toml, quote_value
+from kc2spice.core.unit_spelling import convert_percentage
 from kc2spice.core.untrusted_files import make_identifier
 
 Schema = TypeVar("Schema", bound=Section)
@@ -42,6 +43,8 @@ _UNION_MEMBER = re.compile(r"\]$|^(float|int|str|bool)$|^[A-Z]\w*Keys$")
 _AXIS_VECTORS = {"x": "[1, 0, 0]", "y": "[0, 1, 0]", "z": "[0, 0, 1]"}
 # message about a number that exceeds a limit of its key
 OUT_OF_RANGE = "out of range"
+# A limit of a key is extreme if it differs from the usual value by more than this factor.
+USEFUL_RATIO = 1e3
 _LIMIT_SIGNS = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
 # Keys whose text must be one line, because a line break would begin a statement of the netlist.
 _SINGLE_LINE_KEYS = ("title", "include")
@@ -210,7 +213,8 @@ def _explain_unknown_key(invalid: _InvalidValue) -> Explanation:
     path, schema = invalid.schema_path, invalid.schema
     table = _find_schema(schema, path)
     fields = [*table.model_fields, *(invalid.also if len(path) == 1 else ())]
-    word, all_keys = str(path[-1]), (join_path(item) for item, _ in list_keys(schema))
+    word, names = str(path[-1]), [step for step in path[:-1] if isinstance(step, str)]
+    all_keys = (join_path(item) for item, _ in list_keys(schema) if [*item[: len(names)]] == names)
     elsewhere = (item for item in all_keys if item.rpartition(".")[2] == word)
     hint = (
         _list_replacement_hints(table).get(word)
@@ -271,10 +275,12 @@ def _explain_missing(
     unit = _find_unit(schema, path)
     table = join_path(full_path[:-1])
     value = f'"{_suggest_quantity(schema, path, unit)}"' if unit else "VALUE"
-    field, listed = _find_field(schema, path), None
+    # _find_field finds no key whose value is a table
+    table_fields = _find_schema(schema, path).model_fields
+    field, listed = _find_field(schema, path) or table_fields.get(str(path[-1])), None
     if not unit and field is not None:
         choices = get_args(field.annotation) if get_origin(field.annotation) is Literal else ()
-        value = f'"{choices[0]}"' if choices else _format_example(field)
+        value = f'"{choices[0]}"' if choices else _write_example(field)
         if choices:
             listed = f"one of {list_candidates('', map(str, choices))}"
     destination = f"  to {table}" if table else ""
@@ -332,7 +338,9 @@ def _explain_choice(invalid: _InvalidValue) -> Explanation:
         hint = f"write  {key} = {vector}"
     example = f'"{choices[0]}"'
     hint = hint or f"for example  {invalid.write_assignment(example)}"
-    listed = list_candidates(invalid.value, choices, _get_help_command(invalid.schema))
+    # the first listed choices resemble this word
+    similar = meaning if meaning in choices else invalid.value
+    listed = list_candidates(similar, choices, _get_help_command(invalid.schema))
     return "this value is not one of the choices", f"one of {listed}", hint
 
 
@@ -364,7 +372,10 @@ def _explain_limit(invalid: _InvalidValue) -> Explanation:
     """Explain the error that a number exceeds a limit of its key."""
     limit = ", ".join(f"{_LIMIT_SIGNS[key]} {bound:g}" for key, bound in invalid.context.items())
     unit = _find_unit(invalid.schema, invalid.schema_path) or ""
-    hint = _suggest_value(join_path(invalid.path), invalid.value, invalid.context, unit)
+    usual = _find_default_number(invalid.schema, invalid.schema_path)
+    hint = _suggest_fraction(invalid) or _suggest_value(
+        invalid.path, invalid.value, invalid.context, unit, usual
+    )
     return OUT_OF_RANGE, f"{limit} {unit}".rstrip(), hint
 
 
@@ -373,13 +384,61 @@ def _explain_reason(invalid: _InvalidValue) -> Explanation:
     return str(invalid.context["error"]), None, None
 
 
-def _suggest_value(key: str, value: object, limits: Mapping[str, float], unit: str) -> str:
-    """Advise how to change the value of a key, so that it satisfies the key's limits."""
+def _find_default_number(schema: type[BaseModel], path: KeyPath) -> float | None:
+    """Return the default value of a key if the default value is a number, otherwise None."""
+    table = _find_schema(schema, path)
+    field = table.model_fields.get(str(path[-1]))
+    value = None if field is None else field.default
+    with contextlib.suppress(ValidationError):  # the table has required keys
+        value = getattr(table(), str(path[-1]), value)
+    return value if isinstance(value, (int, float)) and not isinstance(value, bool) else None
+
+
+def _is_extreme(bound: float, usual: float, lower: bool) -> bool:
+    """Return whether a limit is so far from the usual value that the limit is of no use."""
+    return 0 < bound < usual / USEFUL_RATIO if lower else bound > usual * USEFUL_RATIO > 0
+
+
+def _suggest_fraction(invalid: _InvalidValue) -> str | None:
+    """Suggest the fraction that the user meant by a percentage, such as 0.05 for 5 %.
+
+    The result is None if the key is no fraction, or if the key is usually stated in ppm.
+    """
+    field, path, value = (
+        _find_field(invalid.schema, invalid.schema_path),
+        invalid.path,
+        invalid.value,
+    )
+    bound = next((invalid.context[kind] for kind in ("lt", "le") if kind in invalid.context), None)
+    in_ppm = field is not None and any("e-6" in str(item) for item in field.examples or ())
+    if bound is None or bound > 1 or in_ppm or (field is not None and find_unit(field)):
+        return None
+    fraction = convert_percentage(value)
+    if fraction is None or fraction >= bound:
+        return None
+    text = f"for {value:g} %, write  {_write_assignment(path, f'{fraction:g}')}"
+    names_table = len(path) > 1 and all(isinstance(step, str) for step in path)
+    return f"{text}  in [{join_path(path[:-1])}]" if names_table else text
+
+
+def _suggest_value(
+    path: KeyPath, value: object, limits: Mapping[str, float], unit: str, usual: float | None
+) -> str:
+    """Advise how to change the value of a key, so that it satisfies the key's limits.
+
+    ``usual`` is the default value of the key, or None without a default. The advice proposes the
+    default value if the exceeded limit is extreme.
+    """
     (kind, bound), *_ = limits.items()
     lower = kind in ("gt", "ge")
     if lower and isinstance(value, (int, float)) and value < 0 and -value > bound:
         return "remove the minus sign"
-    preposition = {"gt": "above", "lt": "below"}.get(kind, "to")
+    if usual is not None and _is_extreme(bound, usual, lower):
+        written = format_toml(f"{usual:g} {unit}" if unit else usual)
+        if len(path) > 1 and all(isinstance(step, str) for step in path):
+            return f"write  {path[-1]} = {written}  in [{join_path(path[:-1])}]"
+        return f"write  {_write_assignment(path, written)}"
+    key, preposition = join_path(path), {"gt": "above", "lt": "below"}.get(kind, "to")
     return f"{'raise' if lower else 'lower'} {key} {preposition} {bound:g} {unit}".rstrip()
 
 
@@ -550,6 +609,15 @@ def _find_field(schema: type[BaseModel], path: KeyPath) -> FieldInfo | None:
 def _format_example(field: FieldInfo) -> str:
     """Return the example value of a key as TOML text, or ``VALUE``."""
     return str(field.examples[0]) if field.examples else "VALUE"
+
+
+def _write_example(field: FieldInfo) -> str:
+    """Write an example of a key as TOML: a value, a table, or a list of one table."""
+    section = None if field.examples else _find_inner_section(field.annotation)
+    if section is None:
+        return _format_example(field)
+    entry = _write_entry(section, None)
+    return f"[{entry}]" if get_origin(field.annotation) in (tuple, list) else entry
 
 
 def _find_unit(schema: type[BaseModel], path: KeyPath) -> str | None:

@@ -113,8 +113,8 @@ def _require_ring_choice(value: object) -> object:
     )
 
 
-class IndependentValue(float):
-    """Value of an analysis's independent variable, such as a time, with its unit.
+class ValueWithUnit(float):
+    """Value of an independent variable or of a result, such as a time, with its SI unit.
 
     ``unit`` is empty for a number without a unit.
     """
@@ -131,13 +131,13 @@ SCALE_UNITS = (
 )
 
 
-def _parse_independent_value(value: object) -> IndependentValue:
+def _parse_independent_value(value: object) -> ValueWithUnit:
     """Parse a value of an analysis's independent variable, such as a time."""
-    if isinstance(value, IndependentValue):
+    if isinstance(value, ValueWithUnit):
         return value
     for unit in SCALE_UNITS:
         try:
-            result = IndependentValue(convert_quantity(value, unit))
+            result = ValueWithUnit(convert_quantity(value, unit))
         except UsageError:
             continue
         result.unit = unit if isinstance(value, str) else ""
@@ -148,6 +148,28 @@ def _parse_independent_value(value: object) -> IndependentValue:
         hint = next((item for item in corrections if item and "if the value" not in item), hint)
     raise make_invalid_value_error(
         "this value is not a time or frequency", 'such as "46 Hz" or "2 ms"', hint=hint
+    )
+
+
+# Units of results; the unit of a result without a unit is empty.
+RESULT_UNITS = ("", *dict.fromkeys((*SCALE_UNITS, "m/s", "W", "J", "T", "Wb")))
+
+
+def _parse_result_value(value: object) -> ValueWithUnit:
+    """Parse a value of a result, such as a displacement of -1 um."""
+    if isinstance(value, ValueWithUnit):
+        return value
+    for unit in RESULT_UNITS:
+        try:
+            result = ValueWithUnit(convert_quantity(value, unit))
+        except UsageError:
+            continue
+        result.unit = unit
+        return result
+    raise make_invalid_value_error(
+        "this value is not a quantity with a known unit",
+        'a number in the SI unit of the result, or a string with a unit such as "-1.2 um"',
+        hint='write a number with the unit of the result, such as  "-1.2 um"  or  "5 V"',
     )
 
 
@@ -222,6 +244,17 @@ Width = Annotated[
     Length, PlausibleRange("m", 1e-6, 0.5, "transducers are 1 um to half a metre wide")
 ]
 Extent = Annotated[Length, PlausibleRange("m", 1e-6, 1.0, "transducers are 1 um to a metre long")]
+# Usual dimensions of other parts. A coordinate or a displacement may be negative.
+Dimension = Annotated[
+    Length, UsualRange("m", -1.0, 1.0, "parts of transducers are usually smaller than a metre")
+]
+DuctLength = Annotated[
+    Length, UsualRange("m", 0.0, 10.0, "ducts of transducers are usually shorter than 10 m")
+]
+ListenerDistance = Annotated[
+    Length,
+    UsualRange("m", 1e-3, 50.0, "sound pressures are usually stated at distances of 1 mm to 50 m"),
+]
 Time = Annotated[float, si("s")]
 Frequency = Annotated[float, si("Hz")]
 Voltage = Annotated[float, si("V")]
@@ -281,6 +314,7 @@ LossFactor = Annotated[Ratio, UsualRange("", 1 / _HIGHEST_Q, math.inf, _REASON_O
 DampingRatio = Annotated[Ratio, UsualRange("", 0.5 / _HIGHEST_Q, math.inf, _REASON_OF_Q)]
 Count = Annotated[int, BeforeValidator(_convert_whole_number), Strict()]
 Place = Annotated[float, PlainValidator(_parse_independent_value)]
+ResultValue = Annotated[float, PlainValidator(_parse_result_value)]
 Rings = Annotated[Literal["needed", "all"] | int, BeforeValidator(_require_ring_choice)]
 Mounting = Annotated[Literal["roller", "glued", "free"] | float, BeforeValidator(_parse_mounting)]
 GateLength = Annotated[float, BeforeValidator(partial(_parse_number_with_unit, "m"))]

@@ -13,10 +13,19 @@ import re
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.files import RESULT_FILE
+from kc2spice.core.other_file_formats import (
+    HEAD_BYTES,
+    NETLIST,
+    advise_netlist_part,
+    identify_format,
+    make_other_format_error,
+)
+from kc2spice.core.unit_spelling import suggest_spelling
+from kc2spice.core.units import parse_quantity
 from kc2spice.core.untrusted_files import (
     LONGEST_KEY,
     MAX_NESTING,
@@ -55,11 +64,18 @@ class _Repair:
     action: str
 
 
-def parse_toml_file(text: str, label: str, lists: Collection[str] = ()) -> dict[str, Any]:
+# Function that returns the SI unit of a key, from the lines of a file, a line number and the key.
+UnitFinder: TypeAlias = Callable[[Sequence[str], int, str], str | None]
+
+
+def parse_toml_file(
+    text: str, label: str, lists: Collection[str] = (), find_unit: UnitFinder | None = None
+) -> dict[str, Any]:
     """Parse the text of a TOML file; raise an error that suggests a correction.
 
     Return the tables of the text. Error messages state ``label`` as the name of the file. ``lists``
-    contains the keys of the file that are lists of tables, such as ``[[ports]]``.
+    contains the keys of the file that are lists of tables, such as ``[[ports]]``. ``find_unit``
+    returns the unit of a key whose value has no quotes.
 
     Raises
     ------
@@ -68,11 +84,15 @@ def parse_toml_file(text: str, label: str, lists: Collection[str] = ()) -> dict[
     try:
         return parse_toml(text)
     except ValueError as error:
-        raise make_toml_error(text, error, label, lists) from None
+        raise make_toml_error(text, error, label, lists, find_unit) from None
 
 
 def make_toml_error(
-    text: str, error: ValueError, label: str, lists: Collection[str] = ()
+    text: str,
+    error: ValueError,
+    label: str,
+    lists: Collection[str] = (),
+    find_unit: UnitFinder | None = None,
 ) -> UsageError:
     """Make the error for text that the TOML parser rejected, with a suggested repair.
 
@@ -82,6 +102,7 @@ def make_toml_error(
     error : the exception of :func:`kc2spice.core.untrusted_files.parse_toml`.
     label : name of the file.
     lists : keys of the file that are lists of tables.
+    find_unit : function that returns the SI unit of a key, for a value without quotes.
     """
     number = _find_line_number(text, str(error))
     if number is None:  # the errors "too long" and "nested too deeply" have no line number
@@ -106,7 +127,12 @@ def make_toml_error(
     if error_by_pattern is not None:
         return error_by_pattern
     reached = _find_error_position(text, str(error))
-    proposals = (propose(lines, number) for propose in _REPAIR_FUNCTIONS)
+    proposals = (
+        _repair_quotes(lines, number, find_unit)
+        if propose is _repair_quotes
+        else propose(lines, number)
+        for propose in _REPAIR_FUNCTIONS
+    )
     for repairs in (_repair_header(lines, number, lists), *proposals):
         for repair in repairs:
             if _measure_parser_position(lines, repair) > reached:
@@ -125,6 +151,7 @@ def make_toml_error(
     )
 
 
+EXPECTED_SCENE_FILE = "a TOML file with a table for each part"
 # Line of a table: at least two numbers, separated by commas, semicolons, blanks or tabs.
 _ROW_OF_NUMBERS = re.compile(
     r"\s*[-+]?[\d.]+(?:[eE][-+]?\d+)?(?:[ \t,;]+[-+]?[\d.]+(?:[eE][-+]?\d+)?)+\s*"
@@ -143,11 +170,18 @@ def _make_other_format_error(text: str, label: str) -> UsageError | None:
     """Make the error for a file in a known non-TOML format; None for any other file."""
     name, action = _OTHER_FORMATS.get(Path(label).suffix.lower(), ("", ""))
     if not name and not label.endswith(".toml") and _NETLIST_CARD.search(text):
-        name = "a SPICE netlist"
-        action = (
-            f'write a scene that contains the netlist as  part = "netlist"  and  file = "{label}"'
-            "; the built-in scene bring_your_own is an example"
-        )
+        name, action = NETLIST, advise_netlist_part(label)
+        if re.search(r"(?im)^\.subckt\b", text) is None:
+            name = f"{NETLIST} without .subckt"
+            subcircuit = make_identifier(Path(label).stem, "circuit")
+            action = (
+                f"in {label}, put the circuit between  .subckt {subcircuit} NODE ref  and  .ends, "
+                f"without title, analysis and .end lines; then {action}"
+            )
+    if not name and not label.endswith(".toml"):
+        other = identify_format(text[:HEAD_BYTES].encode(), Path(label).suffix)
+        if other is not None:
+            return make_other_format_error(Path(label), other, "scene", EXPECTED_SCENE_FILE)
     if not name and _is_table_of_numbers(text):
         name = "a table of numbers"
         action = "kc2spice reduce FILE  reads a table of measured values"
@@ -157,13 +191,13 @@ def _make_other_format_error(text: str, label: str) -> UsageError | None:
         return UsageError(
             "this file contains the results of a run, not a scene",
             where=label,
-            expected="a TOML file with a table for each part",
+            expected=EXPECTED_SCENE_FILE,
             hint=f"write the name or the TOML file of the scene {scene} in place of {label}",
         )
     return UsageError(
         f"this file is {name}, not a scene",
         where=label,
-        expected="a TOML file with a table for each part",
+        expected=EXPECTED_SCENE_FILE,
         hint=action.replace("FILE", label),
     )
 
@@ -246,6 +280,15 @@ def _guess_value(value: str) -> str:
         return f'"{value}"'
 
 
+def _is_quantity(text: str, unit: str) -> bool:
+    """Return whether a text is a valid quantity in a unit."""
+    try:
+        parse_quantity(text, unit)
+    except ValueError:
+        return False
+    return True
+
+
 def _is_value(text: str) -> bool:
     """Return whether a text is a valid TOML value."""
     try:
@@ -259,14 +302,22 @@ def _suggest_line(line: str) -> str:
     return f"write  {line.strip()}"
 
 
-def _repair_quotes(lines: Sequence[str], number: int) -> Iterator[_Repair]:
+def _repair_quotes(
+    lines: Sequence[str], number: int, find_unit: UnitFinder | None = None
+) -> Iterator[_Repair]:
     """Yield repairs of values that are not valid TOML, such as strings without quotes."""
     line = lines[number - 1]
     bare = [m for m in _BARE_VALUE.finditer(_mask_strings(line)) if not _is_value(m[1])]
     repaired = line
     for match in reversed(bare):
         start, end = match.span(1)
-        repaired = repaired[:start] + _guess_value(line[start:end]) + repaired[end:]
+        guess, value = _guess_value(line[start:end]), line[start:end]
+        key = re.search(r"([\w-]+)\s*=\s*$", line[:start])
+        unit = find_unit(lines, number, key[1]) if find_unit and key else None
+        spelling = re.search('"[^"]+"', (unit and suggest_spelling(value, unit)) or "")
+        if spelling and guess.startswith('"') and not _is_quantity(value, str(unit)):
+            guess = spelling[0]
+        repaired = repaired[:start] + guess + repaired[end:]
     if bare:
         quoted = '"' in "".join(_guess_value(match[1]) for match in bare)
         problem = "this text has no quotes" if quoted else "this value is not valid TOML"
@@ -427,8 +478,8 @@ def _repair_decimal_comma(lines: Sequence[str], number: int) -> Iterator[_Repair
     """Yield the repair of a number with a comma in place of the decimal point."""
     line = lines[number - 1]
     if match := _DECIMAL_COMMA.search(_mask_strings(line).rstrip()):
-        space, whole, digits, unit = match.groups()
-        value = f'"{whole}.{digits} {unit}"' if unit else f"{whole}.{digits}"
+        space, integer, digits, unit = match.groups()
+        value = f'"{integer}.{digits} {unit}"' if unit else f"{integer}.{digits}"
         repaired = f"{line[: match.start()]}{space}{value}{line[match.end() :]}"
         yield _Repair("a comma in a number", number, repaired, _suggest_line(repaired))
 

@@ -98,6 +98,18 @@ def find_range_ends(text: str, *, hyphen: bool = True) -> tuple[str, str] | None
     return match[1], match[3]
 
 
+def convert_percentage(value: object) -> float | None:
+    """Return the fraction that the user probably meant by a number from 1 to 100.
+
+    For any other value, the result is None.
+
+    >>> convert_percentage(5), convert_percentage(0.05)
+    (0.05, None)
+    """
+    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    return float(value) / 100 if is_number and 1 <= value <= 100 else None  # type: ignore
+
+
 def give_example(si: str) -> str:
     """Return a quantity of usual size in a unit that belongs to the SI unit ``si``.
 
@@ -175,6 +187,17 @@ def _suggest_kelvin(typed: _TypedQuantity, si: str) -> str | None:
     return _suggest_if_valid(f"{typed.number} {typed.unit.replace(celsius[0], 'K')}", si)
 
 
+def _expand_prefix_of_number(typed: _TypedQuantity, si: str) -> str | None:
+    """Suggest ``2000`` in place of ``2k``, and ``4700`` in place of ``4k7``."""
+    split = re.fullmatch(r"([\d.]+)\s*([kKMGnpu])(\d*)", typed.text)
+    if si or split is None:
+        return None
+    prefix, digits = split[2].replace("K", "k"), f"{split[1]}{'.' * bool(split[3])}{split[3]}"
+    with contextlib.suppress(ValueError):  # a number with two decimal points
+        return f"write  {float(f'{digits}e{UNIT_PREFIXES[prefix]}'):.12g}"
+    return None
+
+
 def _suggest_prefix_before_unit(typed: _TypedQuantity, si: str) -> str | None:
     """Suggest ``4.7 kOhm`` in place of ``4k7``, where the prefix separates decimals."""
     split = re.fullmatch(r"(\d+)([pnumkMGRΩ])(\d+)", typed.text)
@@ -222,6 +245,7 @@ def _complete_unit(typed: _TypedQuantity, si: str) -> str | None:
 _CORRECTIONS = (
     _suggest_unit_symbol,
     _suggest_kelvin,
+    _expand_prefix_of_number,
     _suggest_prefix_before_unit,
     _correct_letter_case,
     _add_exponent,
@@ -237,11 +261,25 @@ def _suggest_point_or_unit(value: str, typed: _TypedQuantity | None, si: str) ->
             if not math.isfinite(parse_quantity(text, si)):
                 return f"write a number of at most 1e300 {si}".rstrip()
             number, unit = NUMBER_WITH_UNIT.fullmatch(text).groups()  # type: ignore[union-attr]
-            advice = f'write  "{f"{number} {unit}".strip()}"'
-            if typed is not None and not typed.unit and si in UNITS:  # no unit was typed
-                advice += f'  or, with a prefix,  "{number} m{si}"'
-            return advice
+            if typed is not None and not typed.unit:
+                return _suggest_two_units(number, si)
+            return f'write  "{f"{number} {unit}".strip()}"'
     return None
+
+
+def _suggest_two_units(number: str, si: str) -> str:
+    """Suggest a number with a usual unit and with the SI unit.
+
+    >>> _suggest_two_units("20", "F")
+    'write  "20 nF"  or, if the value is in F,  "20 F"'
+    """
+    usual = give_example(si).removeprefix("1 ")
+    if si and _find_scale(usual) < _find_scale(si):
+        return f'write  "{number} {usual}"  or, if the value is in {si},  "{number} {si}"'
+    prefix = "k" if si in ("Hz", "Ohm", "Pa") else "m"
+    has_prefix = si in UNITS and si not in ("1", "%", "K")
+    more = f'  or, with a prefix,  "{number} {prefix}{si}"' if has_prefix else ""
+    return f'write  "{f"{number} {si}".strip()}"{more}'
 
 
 def _suggest_unit(typed: _TypedQuantity | None, si: str) -> str:
@@ -253,6 +291,8 @@ def _suggest_unit(typed: _TypedQuantity | None, si: str) -> str:
     number, unit = typed.number, typed.unit
     base = "g" if si == "kg" else si  # unit without a prefix
     if parse_unit(unit) is not None:
+        if not si:
+            return f"write a plain number without {unit}, because this key is dimensionless"
         prefixed = unit not in UNITS and unit[:1] in UNIT_PREFIXES and unit[1:] in UNITS
         prefix = unit[:1] if prefixed and base in UNITS else ""
         usual = give_example(si).removeprefix("1 ")
@@ -260,7 +300,7 @@ def _suggest_unit(typed: _TypedQuantity | None, si: str) -> str:
         # a large prefix is usual for ohms, but not for metres
         if not prefix or _find_scale(usual) < _find_scale(si) < _find_scale(same):
             same = usual
-        return f'write  "{number} {same}"  if the value is in {same}' if si else f"write {number}"
+        return f'write  "{number} {same}"  if the value is in {same}'
     units = [f"{prefix}{base}" for prefix in ("", *UNIT_PREFIXES)]
     lower = {item.lower(): item for item in reversed(units)}
     # a prefix as a word or in the wrong letter case: 1 micro F, 1 KOhm

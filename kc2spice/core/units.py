@@ -73,6 +73,7 @@ def parse_quantity(text: str, si: str) -> float:
 
     Any other string raises ValueError.
     """
+    text = text.replace("\N{MINUS SIGN}", "-")
     match = NUMBER_WITH_UNIT.fullmatch(text) if len(text) <= MAX_QUANTITY_LENGTH else None
     if match is not None and match[2].startswith(","):
         raise ValueError("a comma in a number")

@@ -299,6 +299,21 @@ def read_archive(
         return result
 
 
+def read_shapes(path: Path) -> dict[str, tuple[int, ...]]:
+    """Read the shape of each numeric array in an ``.npz`` file, keyed by name.
+
+    Other members of the file, and members with a damaged header, are omitted.
+    """
+    result = {}
+    with zipfile.ZipFile(path) as archive:
+        for item in archive.infolist():
+            with contextlib.suppress(ValueError), archive.open(item) as stream:
+                shape, kind = _read_header(stream)
+                if kind.kind in "fiubc":
+                    result[item.filename.removesuffix(".npy")] = shape
+    return result
+
+
 def _read_header(stream: IO[bytes]) -> tuple[tuple[int, ...], np.dtype]:
     """Read the shape and the element type of an array from its header."""
     version = np.lib.format.read_magic(stream)

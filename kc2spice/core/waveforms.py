@@ -113,6 +113,23 @@ def integrate_cumulatively(values: np.ndarray, over: np.ndarray) -> np.ndarray:
     return np.concatenate([start, np.cumsum(steps, axis=-1)], axis=-1)
 
 
+def average_over_window(values: np.ndarray, time: np.ndarray, window: float) -> np.ndarray:
+    """Compute the mean of a waveform in a time window around each time point.
+
+    ``values`` and ``time`` [s] have the shape (n,). ``window`` is the length of the window [s]. At
+    the ends of the waveform, the window is shorter. Between two time points, the waveform counts as
+    constant, and its value is the mean of the values at both points.
+
+    >>> average_over_window(np.array([0.0, 1.0, 2.0]), np.array([0.0, 1.0, 2.0]), 1.0)
+    array([0.5, 1. , 1.5])
+    """
+    integral = integrate_cumulatively(values, time)
+    first = np.maximum(time - window / 2, time[0])
+    last = np.minimum(time + window / 2, time[-1])
+    rise = np.interp(last, time, integral) - np.interp(first, time, integral)
+    return np.asarray(rise / (last - first))
+
+
 def differentiate(values: np.ndarray, over: np.ndarray) -> np.ndarray:
     """Compute the derivative of sampled values with respect to their abscissae.
 
