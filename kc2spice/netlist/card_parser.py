@@ -41,6 +41,7 @@ THERMAL_FLAG = "thermal"  # VDMOS flag that adds temperature pins (ngspice manua
 OPTION_CARDS = frozenset((".options", ".option", ".opt"))
 _OPENING_BRACKETS = "({["
 _CLOSING_BRACKETS = ")}]"
+_OPERAND = re.compile(r"(?:\{[^{}]*\}|'[^']*'|[^\s(),])+")  # node, source or coefficient
 _INLINE_COMMENT = re.compile(r";|(?<=\s)\$(?=\s)|//")  # start of a comment at the end of a card
 
 
@@ -302,9 +303,11 @@ def parse_element(s: Statement) -> Element:
         return Element(kind, name, tuple(plain[:-1]), (), plain[-1], (), assignments, **origin)
     if kind not in NODE_COUNTS:
         return Element(kind, name, (), values=tuple(rest), **origin)
+    if kind in "efgh":
+        rest[:] = _split_node_pairs(rest, 4 if kind in "eg" else 2)
     count = _count_nodes(kind, rest)
     end = count + CONTROL_COUNTS.get(kind, 0)
-    if kind in "fh" and len(rest) > 2 and rest[2].lower().startswith("poly("):
+    if kind in "fh" and len(rest) > 2 and rest[2].lower().partition("(")[0] == "poly":
         end = count
     needed = end + (kind in MODEL_KINDS or kind not in "vi")
     if len(rest) < needed or not {"=", "("}.isdisjoint("".join(rest[:count])):
@@ -319,6 +322,17 @@ def parse_element(s: Statement) -> Element:
     values = tuple(filterfalse(_is_assignment, rest))
     assignments = dict(map(_split_assignment, filter(_is_assignment, rest)))
     return Element(kind, name, nodes, sources, model, values, assignments, **origin)
+
+
+def _split_node_pairs(words: Sequence[str], count: int) -> list[str]:
+    """Split node pairs such as ``(a,b)`` among the first ``count`` nodes of a source."""
+    nodes: list[str] = []
+    for k, word in enumerate(words):
+        is_law = word.lower().startswith(_LAW_KEYWORDS) or not set("={'\"").isdisjoint(word)
+        if is_law or len(nodes) >= count:
+            return [*nodes, *words[k:]]
+        nodes += split_operands(word)
+    return nodes
 
 
 def _count_nodes(kind: str, rest: Sequence[str]) -> int:
@@ -383,9 +397,8 @@ def _read_polynomial(text: str, where: str) -> str:
     The coefficients ``p0 p1 …`` are sorted by the degree of their terms; terms of the same degree
     are sorted by the order of their voltages.
     """
-    dimension, _, rest = text.removeprefix("(").partition(")")
-    tokens = rest.replace("(", " ").replace(")", " ").replace(",", " ").split()
-    if not dimension.strip().isdigit() or len(tokens) <= 2 * int(dimension):
+    dimension, *tokens = split_operands(text) or [""]
+    if not dimension.isdigit() or len(tokens) <= 2 * int(dimension):
         raise UsageError(
             "the polynomial is not complete",
             where=where,
@@ -398,8 +411,14 @@ def _read_polynomial(text: str, where: str) -> str:
     if len(factors) == 1 and len(axes) == 1:
         # POLY(1) with a single coefficient: this coefficient belongs to the linear term.
         factors = ["0", *factors]
+    factors = [factor.strip("'") for factor in factors]
     terms = chain.from_iterable(map(partial(combinations_with_replacement, axes), count()))
     return "+".join("*".join((f"({p})", *term)) for p, term in zip(factors, terms, strict=False))
+
+
+def split_operands(text: str) -> list[str]:
+    """Split a text at blanks, commas and parentheses outside of braces and quotes."""
+    return _OPERAND.findall(text)
 
 
 def _read_table(text: str, where: str) -> str:

@@ -8,8 +8,9 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import chain
 from operator import attrgetter, itemgetter
-from typing import Any
+from typing import Any, ClassVar
 
+from kc2spice.core.attribute_advice import WRITING_METHODS, AdvisesOnAttributes
 from kc2spice.core.domains import describe_units
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.card_parser import OPTION_CARDS, read_cards
@@ -177,7 +178,7 @@ def make_dc_command(source: str, first: float, last: float, points: int) -> Anal
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class Deck:
+class Deck(AdvisesOnAttributes):
     """Deck (main netlist file) of a simulation, with its libraries.
 
     ``parts`` are the subcircuits, each in a library file. ``vectors`` maps the name of each result
@@ -196,8 +197,16 @@ class Deck:
     known, and ``more`` contains the included files. If ``may_have_loop`` is true, a controller may
     close a feedback loop, for which some simulators need short time steps. If a simulator ignores
     or replaces statements of a ``trusted`` deck, a run prints a warning instead of an error. Nets
-    in ``free_nets`` may have only one connection.
+    in ``free_nets`` may have only one connection. ``edits`` are short descriptions of the cards by
+    which an edited deck differs from the deck of its scene.
     """
+
+    _attribute_advice: ClassVar[Mapping[str, str]] = {
+        **dict.fromkeys(
+            WRITING_METHODS, 'kc.export(SCENE, "DIRECTORY") writes the deck of a scene'
+        ),
+        **dict.fromkeys(("run", "simulate", "plot"), "kc.simulate(DECK) returns the results"),
+    }
 
     name: str
     title: str = ""
@@ -222,6 +231,7 @@ class Deck:
     may_have_loop: bool = True
     trusted: bool = False
     free_nets: frozenset[str] = frozenset()
+    edits: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         """Return a short description of the deck."""

@@ -142,13 +142,15 @@ def read_edited_deck(original: Deck, path: Path) -> DeckEdits:
     )
     with _reject_title_of_other_scene(original, result.text, path):
         _require_results(original.scope, deck, path)
+    instances = _compare_instances(original.scope, deck.scope)
+    deck = replace(deck, edits=tuple(_describe_edits(original.scope, deck.scope, instances)))
     return DeckEdits(
         deck,
         None if _has_equal_words(original.command.card, analysis) else analysis.written,
         _find_missing_state(original, cards, analysis),
         _compare_options(original, cards),
         _compare_cards(original.scope, deck.scope),
-        _compare_instances(original.scope, deck.scope),
+        instances,
     )
 
 
@@ -447,6 +449,37 @@ def _compare_cards(before: Scope, now: Scope) -> dict[str, str]:
             name = key if key.startswith("x") else owner
             result[name] = f"its card {a.name} is connected to other nodes"
     return result
+
+
+def _describe_edits(
+    before: Scope, now: Scope, instances: Mapping[str, InstanceEdit]
+) -> Iterator[str]:
+    """Yield a short description of each element that differs between two circuits."""
+    old, new = before.elements_by_key, now.elements_by_key
+    for key, b in new.items():
+        a, line = old.get(key), b.where.rpartition(":")[2]
+        place = f"{b.name} in line {line}" if line else b.name
+        if a is None:
+            yield f"{place} (new)"
+        elif a.lower_case_nodes != b.lower_case_nodes:
+            yield f"{place} ({_describe_changed_nodes(a, b)})"
+        elif normalise_element(a) != normalise_element(b):
+            yield f"{place} (changed values)"
+        elif key in instances and instances[key].has_other_cards:
+            yield f"the subcircuit {instances[key].subcircuit} of {b.name} (changed cards)"
+    for key in old.keys() - new.keys():
+        yield f"{old[key].name} (missing)"
+
+
+def _describe_changed_nodes(a: Element, b: Element) -> str:
+    """Describe which nodes of an element changed between two circuits."""
+    pairs = zip(a.lower_case_nodes, b.lower_case_nodes, strict=False)
+    changed = [pair for pair in pairs if pair[0] != pair[1]]
+    if len(changed) == 2 and changed[0] == changed[1][::-1]:
+        return f"nodes {changed[0][0]} and {changed[0][1]} are exchanged"
+    if not changed:
+        return "another number of nodes"
+    return ", ".join(f"node {now} in place of {before}" for before, now in changed)
 
 
 def _format_without_nodes(card: Element) -> str:

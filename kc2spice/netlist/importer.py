@@ -16,7 +16,7 @@ from itertools import pairwise
 from textwrap import shorten
 from typing import Literal
 
-from kc2spice.netlist.card_parser import LAPLACE_HINT
+from kc2spice.netlist.card_parser import LAPLACE_HINT, split_operands
 from kc2spice.netlist.circuit import (
     Card,
     Circuit,
@@ -265,6 +265,8 @@ class _CircuitTranslator:
                 "a current source with the option `load` has no equivalent in ngspice",
                 hint="delete the option `load` from this line, or replace the source by a resistor",
             )
+        if element.kind in "fh":
+            element = _complete_polynomial(element)
         if self.syntax == "ltspice":
             element = _move_ratings(element)
         element = replace(
@@ -363,6 +365,17 @@ def _add_meter(element: Element, group: Iterable[Item], meter: str) -> Iterator[
         # An element is translated into one or several elements, and into no other netlist items.
         assert isinstance(item, Element)
         yield replace(item, nodes=tuple(inner if node == plus else node for node in item.nodes))
+
+
+def _complete_polynomial(element: Element) -> Element:
+    """Add the constant term 0 to an F or H source ``POLY(1)`` with a single coefficient.
+
+    SPICE 2 multiplies the current by the single coefficient; ngspice reads a constant.
+    """
+    words = split_operands(" ".join(element.values))
+    if len(words) != 4 or (words[0].lower(), words[1]) != ("poly", "1"):
+        return element
+    return replace(element, values=("POLY(1)", words[2], "0", words[3]))
 
 
 def _move_ratings(element: Element) -> Element:

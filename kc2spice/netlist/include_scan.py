@@ -17,7 +17,6 @@ of an element outside of subcircuits denote the nodes of the deck that have thes
 from __future__ import annotations
 
 import re
-import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from operator import attrgetter
@@ -25,12 +24,23 @@ from pathlib import Path, PurePosixPath
 
 from kc2spice.core.errors import UsageError, did_you_mean, list_candidates
 from kc2spice.core.files import suggest_file
+from kc2spice.core.other_file_formats import (
+    KICAD_SCHEMATIC,
+    LTSPICE_SCHEMATIC,
+    NETLIST_SUFFIXES,
+    PACKED,
+    PDF,
+    WEB_PAGE,
+    identify_binary_format,
+    identify_text_format,
+)
 from kc2spice.core.untrusted_files import (
     explain_unsafe_name,
     make_encoding_error,
     make_plain_name,
     read_bounded,
 )
+from kc2spice.core.user_warnings import warn_user
 from kc2spice.netlist.card_parser import (
     LAPLACE_HINT,
     OPTION_CARDS,
@@ -236,22 +246,19 @@ class _Reader:
             ) from None
 
 
-# First bytes of files in other formats, with the name of the format and the recommended action.
-_OTHER_FORMATS = {
-    b"%PDF": ("a PDF document", "give the path of the SPICE model (.lib or .cir) instead"),
-    b"PK\x03\x04": ("an archive", "unpack the archive, and give the path of the unpacked netlist"),
-    b"Version 4": (
-        "a schematic of LTspice",
+# Recommended actions for files in other formats, keyed by the name of the format.
+_ACTIONS = {
+    PDF: "give the path of the SPICE model (.lib or .cir) instead",
+    PACKED: "unpack the archive, and give the path of the unpacked netlist",
+    LTSPICE_SCHEMATIC: (
         "open the schematic in LTspice, choose View > SPICE Netlist, and save the text as a .cir "
-        "file",
+        "file"
     ),
-    b"(kicad_sch": (
-        "a schematic of KiCad",
+    KICAD_SCHEMATIC: (
         "open the schematic in KiCad, choose File > Export > Netlist > SPICE, and give the path of "
-        "the exported file",
+        "the exported file"
     ),
-    b"<!DOCTYPE": ("a web page", "download the netlist file instead of the web page that shows it"),
-    b"<html": ("a web page", "download the netlist file instead of the web page that shows it"),
+    WEB_PAGE: "download the netlist file instead of the web page that shows it",
 }
 
 
@@ -273,19 +280,17 @@ def _require_netlist_format(data: bytes, where: str) -> None:
             expected="a text file with a SPICE netlist",
             hint="ask the manufacturer for a model without encryption",
         )
-    for start, (file_type, action) in _OTHER_FORMATS.items():
-        if data[:20].lstrip().lower().startswith(start.lower()):
-            raise UsageError(
-                f"this file is {file_type}",
-                where=where,
-                expected="a text file with a SPICE netlist",
-                hint=action,
-            )
+    suffix = PurePosixPath(where).suffix
+    name = identify_binary_format(data, suffix) or identify_text_format(data)
+    if name is not None and (name in _ACTIONS or b"\0" in data[:200]):
+        raise UsageError(
+            f"this file is {name}",
+            where=where,
+            expected="a text file with a SPICE netlist",
+            hint=_ACTIONS.get(name, "give the path of the SPICE model (.lib or .cir) instead"),
+        )
     if b"\0" in data[:200]:
         raise make_encoding_error(data, where)
-
-
-_NETLIST_SUFFIXES = (".lib", ".cir", ".net", ".sub", ".mod", ".sp")
 
 
 def _is_missing(path: Path) -> bool:
@@ -299,7 +304,7 @@ def _is_missing(path: Path) -> bool:
 def make_missing_netlist_error(path: Path) -> UsageError:
     """Return the error for a netlist that is missing or a directory."""
     if path.is_dir():
-        inside = sorted(item.name for item in path.glob("*.*") if item.suffix in _NETLIST_SUFFIXES)
+        inside = sorted(item.name for item in path.glob("*.*") if item.suffix in NETLIST_SUFFIXES)
         return UsageError(
             "this path is a directory, not a netlist",
             where=path.name,
@@ -392,6 +397,7 @@ def reject_side_effects(cards: Iterable[Statement], *, part: bool) -> None:
     """
     depth, commands = 0, False
     cards = list(cards)
+    subcircuits = any(card.keyword == ".subckt" for card in cards)
     texts = [card for card in cards if not card.keyword.startswith(".end")]
     # A netlist without lower-case letters has no other spelling of milli and femto.
     if any(re.search("[a-z]", card.written) for card in texts):
@@ -403,7 +409,7 @@ def reject_side_effects(cards: Iterable[Statement], *, part: bool) -> None:
             commands = key != ".endc"
             continue
         depth += (key == ".subckt") - (key == ".ends")
-        for what, expected, hint in _list_card_problems(card, depth == 0, part):
+        for what, expected, hint in _list_card_problems(card, depth == 0, part, subcircuits):
             raise card.make_error(f"the netlist {what}", card.written[:120], expected, hint)
 
 
@@ -412,11 +418,10 @@ def _warn_of_milli(cards: Iterable[Statement]) -> None:
     for card in cards:
         for value in _list_mega_candidates(card):
             if number := _UPPER_CASE_M.fullmatch(value):
-                warnings.warn(
+                warn_user(
                     f"{card.where}: ngspice reads {value} as {number[1]} milli, in the line "
                     f"{card.written[:120]}: write {number[1]}meg if you mean mega, or "
-                    f"{number[1]}m if you mean milli",
-                    stacklevel=2,
+                    f"{number[1]}m if you mean milli"
                 )
 
 
@@ -425,11 +430,10 @@ def _warn_of_femto(cards: Iterable[Statement]) -> None:
     for card in cards:
         value = card.words[3] if card.keyword.startswith("c") and len(card.words) > 3 else ""
         if number := _UPPER_CASE_F.fullmatch(value):
-            warnings.warn(
+            warn_user(
                 f"{card.where}: ngspice reads {value} as {number[1]} femtofarad, in the line "
                 f"{card.written[:120]}: write {number[1]} if you mean farad, or {number[1]}f if "
-                "you mean femtofarad",
-                stacklevel=2,
+                "you mean femtofarad"
             )
 
 
@@ -452,9 +456,12 @@ def _list_mega_candidates(card: Statement) -> Iterator[str]:
 
 
 def _list_card_problems(
-    card: Statement, outside: bool, part: bool
+    card: Statement, outside: bool, part: bool, subcircuits: bool
 ) -> Iterator[tuple[str, str, str]]:
-    """Yield each problem of a card as a description, the expected text and a remedy."""
+    """Yield each problem of a card as a description, the expected text and a remedy.
+
+    ``subcircuits`` is true if the file of the card contains subcircuits.
+    """
     key, options = card.keyword, read_accuracy_options((card,))
     if parts := _find_separate_suffix(card):
         hint = f"write {parts[0]}{parts[1]} in place of {parts[0]} {parts[1]}"
@@ -481,7 +488,16 @@ def _list_card_problems(
         yield f"sets the {what} of the whole deck", _PART_FILE_CONTENT, hint
     if part and outside and (key in (".ic", ".nodeset") or (key and not key.startswith("."))):
         what = "has a card outside of all subcircuits, which acts on nodes of the whole deck"
-        yield what, _PART_FILE_CONTENT, "move this card into the .subckt, or delete it"
+        hint = "move this card into the .subckt, or delete it"
+        if card.line == 1:  # decks begin with a title, but files of subcircuits do not
+            what = "has text outside of all subcircuits in its first line"
+            hint = "delete this line if it is a title; move a card into the .subckt"
+        if not subcircuits:
+            hint = (
+                "put the circuit between  .subckt NAME NODE ref  and  .ends, without title, "
+                "analysis and .end lines"
+            )
+        yield what, _PART_FILE_CONTENT, hint
     if not part and "interp" in options:
         hint = "delete this option, because it removes time points that the results need"
         yield "sets the option interp", "results at every time point", hint

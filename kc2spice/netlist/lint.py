@@ -8,7 +8,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping
 from itertools import chain
 from operator import attrgetter
 
-from kc2spice.core.errors import UsageError, list_candidates
+from kc2spice.core.errors import UsageError, join_first, list_candidates
 from kc2spice.netlist.circuit import Card, Circuit, Directive, Element, Parameters
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.expression import (
@@ -29,7 +29,11 @@ from kc2spice.netlist.subcircuit_library import parse_declared_pins
 
 _ODD_NUMBERS = tuple(map(Number, ("1", "3", "5", "7", "9")))
 # Usual model type of each element letter, for the advice in errors.
-_MODEL_TYPES = {"d": "D", "q": "NPN", "j": "NJF", "m": "NMOS", "s": "SW", "w": "CSW", "z": "NMF"}
+# Example models of switches, which do not depend on a manufacturer.
+_SWITCH_MODELS = {
+    "s": "SW(vt=1 vh=0 ron=1 roff=1meg)",
+    "w": "CSW(it=1m ih=0 ron=1 roff=1meg)",
+}
 # LTspice settings for parasitics of an element, and the separate elements that replace them.
 _PARASITIC_ELEMENTS = {"rser": "R in series", "lser": "L in series", "rpar": "R across it",
               "rlshunt": "R across it", "cpar": "C across it"}  # fmt: skip
@@ -54,7 +58,8 @@ def find_wiring_mistakes(deck: Deck) -> list[UsageError]:
     """Return all wiring mistakes of a deck.
 
     Wiring mistakes are unknown subcircuits, models, parameters, nodes or controlling sources, wrong
-    numbers of pins, repeated names, and nodes with only one connection.
+    numbers of pins, repeated names, nodes with only one connection, and loops of ideal voltage
+    sources.
 
     Raises
     ------
@@ -81,7 +86,7 @@ def _find_problems(deck: Deck, trees: Mapping[str, Circuit], top: Scope) -> list
     for item in top.list_scopes():
         problems += _check_cards(item)
         problems += _check_connections(item, signals, read.get(id(item), set()))
-    return problems
+    return problems + list(_check_source_loops(top))
 
 
 def _list_saved_nodes(deck: Deck, top: Scope) -> dict[int, set[str]]:
@@ -156,7 +161,10 @@ def _check_references(part: Element, scope: Scope) -> Iterator[UsageError]:
     """Yield the mistakes in models, parameters and controlling sources of a card."""
     model = scope.models.get((part.model or "").lower())
     if part.model and model is None:
-        hint = f"add the line  .model {part.model} {_MODEL_TYPES.get(part.kind, 'TYPE')}"
+        hint = f"copy the  .model {part.model}  line of the manufacturer into this file"
+        hint += ", or include the file that contains this line"
+        if switch := _SWITCH_MODELS.get(part.kind):
+            hint = f"add the line  .model {part.model} {switch}"
         yield _make_unknown_name_error(part, "no such model", part.model, scope.models, hint)
     if model is not None and (replacement := PSPICE_SWITCHES.get(model.type.lower())):
         yield model.make_error(
@@ -280,6 +288,87 @@ def _check_connections(
                     else f"connect another element to {node}, or rename {node} to nc_{node} if the "
                     "node is intentionally unconnected",
                 )
+
+
+def _check_source_loops(top: Scope) -> Iterator[UsageError]:
+    """Yield an error for each voltage source that closes a loop of voltage sources.
+
+    The currents in such a loop have no unique value, so the simulator fails. The loop consists of V
+    elements and of E elements that are controlled by a voltage.
+    """
+    groups: dict[str, str] = {}  # another node of the same group, or the node itself
+    sources_at: dict[str, list[tuple[str, Element]]] = {}  # accepted sources, by net
+
+    def find_group(node: str) -> str:
+        """Return the node that represents all nodes joined to a node by sources."""
+        while (other := groups.setdefault(node, node)) != node:
+            groups[node] = node = groups[other]
+        return node
+
+    for source, (plus, minus) in _list_ideal_sources(top, "", {}, frozenset()):
+        if find_group(plus) == find_group(minus):
+            yield _make_loop_error(source, _find_source_path(sources_at, plus, minus))
+            continue
+        groups[find_group(plus)] = find_group(minus)
+        sources_at.setdefault(plus, []).append((minus, source))
+        sources_at.setdefault(minus, []).append((plus, source))
+
+
+def _list_ideal_sources(
+    scope: Scope, path: str, nets: Mapping[str, str], enclosing: frozenset[str]
+) -> Iterator[tuple[Element, tuple[str, str]]]:
+    """Yield each ideal voltage source of a circuit, with the nets of its two nodes.
+
+    ``path`` is the prefix of the nets inside an instance, and ``nets`` contains the nets of its
+    pins. ``enclosing`` contains the file and line of the definition of each enclosing subcircuit.
+    """
+
+    def find_net(node: str) -> str:
+        """Find the name of a node's net in the flattened circuit."""
+        return "0" if node in GROUND_NAMES else nets.get(node, f"{path}{node}")
+
+    for element in scope.elements:
+        ends = list(map(find_net, element.lower_case_nodes))
+        words = {*map(str.lower, element.values), *element.settings}
+        # An E element with an expression is not ideal, because it may depend on currents.
+        # A V element with the word ``portnum`` is not ideal, because it contains a resistance.
+        if element.kind in "ve" and not element.quantity and "portnum" not in words:
+            yield element, (ends[0], ends[1])
+        called = scope.find_subcircuit(element.model) if element.kind == "x" else None
+        if called is not None and called.where not in enclosing:
+            inner = dict(zip(called.pins, ends, strict=False))
+            prefix, inside = f"{path}{element.key}.", enclosing | {called.where}
+            yield from _list_ideal_sources(called, prefix, inner, inside)
+
+
+def _find_source_path(
+    sources_at: Mapping[str, Collection[tuple[str, Element]]], first: str, last: str
+) -> list[Element]:
+    """Return the sources that join two nets; empty if both nets are the same."""
+    paths: dict[str, list[Element]] = {first: []}
+    for net in (waiting := [first]):
+        for other, source in sources_at.get(net, ()):
+            if other not in paths:
+                paths[other] = [*paths[net], source]
+                waiting.append(other)
+    return paths[last]
+
+
+def _make_loop_error(source: Element, others: Collection[Element]) -> UsageError:
+    """Make the error for a source that closes a loop with other sources."""
+    if not others:
+        return source.make_error(
+            "both nodes of this voltage source are the same node",
+            expected="two different nodes",
+            hint=f"delete {source.name}, or connect one of its nodes to another node",
+        )
+    names = [f"{item.name} ({item.where})" for item in (*others, source)]
+    return source.make_error(
+        "this voltage source closes a loop of ideal voltage sources",
+        f"a loop of {join_first(names)}",
+        "one ideal voltage source between two nodes",
+        f"delete {source.name}, or connect a resistor in series with {source.name}",
+    )
 
 
 def _card_text(card: Card) -> str:

@@ -122,10 +122,13 @@ def require_word(text: str) -> str:
     return text
 
 
-def require_distinct(names: Sequence[str], inner: str, *, where: str) -> None:
+def require_distinct(
+    names: Sequence[str], inner: str, *, where: str, expected: str | None = None
+) -> None:
     """Reject pin names that are equal to each other or to internal nodes.
 
-    ``inner`` is the regular expression that matches the names of internal nodes.
+    ``inner`` is the regular expression that matches the names of internal nodes. ``expected``
+    describes the accepted names in an error about an internal node.
 
     Raises
     ------
@@ -133,13 +136,21 @@ def require_distinct(names: Sequence[str], inner: str, *, where: str) -> None:
     """
     low = [text.lower() for text in names]
     for text, plain in zip(names, low, strict=True):
-        if low.count(plain) > 1 or re.fullmatch(inner, plain):
+        if low.count(plain) > 1:
             raise UsageError(
                 "the subcircuit already contains this name",
                 where=where,
                 got=text,
-                expected="names of ports that differ in more than letter case",
-                hint="rename the port",
+                expected="names that differ in more than letter case",
+                hint=f"rename one of the pins {text}",
+            )
+        if re.fullmatch(inner, plain):
+            raise UsageError(
+                "the subcircuit already contains this name, for an internal node",
+                where=where,
+                got=text,
+                expected=expected,
+                hint=f"rename {text}, for example to my_{text}",
             )
 
 

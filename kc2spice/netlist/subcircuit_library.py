@@ -11,10 +11,11 @@ from functools import cached_property
 from itertools import chain
 from operator import attrgetter, itemgetter
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from kc2spice.core import __version__
 from kc2spice.core.argument_and_option_names import check_arguments
+from kc2spice.core.attribute_advice import WRITING_METHODS, AdvisesOnAttributes
 from kc2spice.core.errors import UsageError
 from kc2spice.core.files import create_parent_folders, suggest_file
 from kc2spice.core.untrusted_files import decode_text, read_bounded, reject_toml_file
@@ -107,7 +108,7 @@ def _round_up(value: float) -> float:
 
 
 @dataclass(frozen=True, repr=False)
-class Subcircuit:
+class Subcircuit(AdvisesOnAttributes):
     """Subcircuit of a part, with its pins and parameters, in a library file.
 
     ``circuit`` is the tree of the library file that contains the ``.subckt`` with this ``name``.
@@ -118,6 +119,11 @@ class Subcircuit:
     text of the library is printed from ``circuit``. The first ``header_lines`` comments above the
     ``.subckt`` are the header.
     """
+
+    _attribute_advice: ClassVar[Mapping[str, str]] = dict.fromkeys(
+        WRITING_METHODS,
+        'write("NAME.lib") writes the library; the attribute `text` contains its text',
+    )
 
     name: str
     pins: tuple[Pin, ...]

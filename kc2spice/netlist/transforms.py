@@ -155,7 +155,8 @@ def _require_in_range(param: Param, library: str, value: float) -> None:
     least, most = param.low, param.high
     if least <= value <= most and math.isfinite(value):
         return
-    expected = f"{least:g} … {most:g}" if math.isfinite(least) else "a finite number"
+    low = 0.0 if least == SMALLEST_POSITIVE else least
+    expected = f"{low:g} … {most:g}" if math.isfinite(least) else "a finite number"
     if most == math.inf and least > -math.inf:
         expected = "above zero" if least == SMALLEST_POSITIVE else f"at least {least:g}"
     raise UsageError(

@@ -13,8 +13,7 @@ import shutil
 import subprocess
 import threading
 import time
-import warnings
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
@@ -22,9 +21,10 @@ from typing import Any
 
 import numpy as np
 
-from kc2spice.core.errors import MissingToolError, SimulationError, UsageError
+from kc2spice.core.errors import MissingToolError, SimulationError, UsageError, join_first
 from kc2spice.core.install_commands import make_install_command
 from kc2spice.core.untrusted_files import explain_unsafe_name
+from kc2spice.core.user_warnings import warn_user
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.expression import split_terms
@@ -385,6 +385,9 @@ class RetrySetting:
         return changed.scale_max_step(self.factor)
 
 
+# If an attempt takes longer than LONG_ATTEMPT [s], the warning before the next attempt states how
+# many attempts may follow.
+LONG_ATTEMPT = 10.0
 FIRST_SETTING = RetrySetting("the scene's own settings", (), "")
 # The retry settings were tested with the scene ``kick_and_catch`` and contact penalties of 1e11 and
 # 1e12 N/m. Without a retry setting, the scene ``kick_and_catch`` fails with "timestep too small" if
@@ -464,6 +467,20 @@ class RetriesFailedError(SimulationError):
     suggested: Mapping[str, Any]
 
 
+def _describe_long_retries(wall: float, most: int) -> str:
+    """Describe how long retries may take after an attempt of ``wall`` seconds; "" if short.
+
+    ``most`` is the largest number of further attempts.
+    """
+    if wall < LONG_ATTEMPT:
+        return ""
+    attempts = "1 attempt" if most == 1 else f"up to {most} attempts"
+    return (
+        f"; the failed attempt took {wall:.0f} s, and {attempts} of similar or longer duration may "
+        "follow (with solver.retries = 0, a run stops at the first failure)"
+    )
+
+
 def _join_suggestions(violated: Iterable[Check]) -> dict[str, Any]:
     """Return scene keys and values with which a run would pass the violated checks.
 
@@ -479,6 +496,33 @@ def _join_suggestions(violated: Iterable[Check]) -> dict[str, Any]:
             return {}
         result |= check.suggested
     return result
+
+
+# If the value of a violated check remains above UNCHANGED_SHARE of its largest value in all
+# attempts, the time steps are not the cause. Each retry divides the tolerances by 10.
+UNCHANGED_SHARE = 0.9
+
+
+def _correct_time_step_error(
+    error: SimulationError, check: Check, values: Sequence[tuple[str, float]], deck: Deck
+) -> None:
+    """Correct the message and the hint of an error that blames the time steps.
+
+    ``values`` contains the name and the value of the first violated check of each attempt. If
+    shorter time steps did not change the value, the time steps are not the cause.
+    """
+    edits = f"compare these edits with a new export: {join_first(deck.edits, '; ')}"
+    sizes = [value for name, value in values if name == check.name]
+    if 1 < len(sizes) == len(values) and min(sizes) > UNCHANGED_SHARE * max(sizes):
+        error.message = (
+            "shorter time steps do not change the value of a violated check "
+            f"(check: {check.printed_label})"
+        )
+        compare = "run  kc2spice verify  on this scene to compare with an independent solution"
+        error.hint = edits if deck.edits else compare
+    elif deck.text is not None and error.hint:
+        lower = error.hint.replace("solver.reltol", "reltol in the .options line of the deck")
+        error.hint = f"{edits}; or {lower}" if deck.edits else lower
 
 
 def run_with_retries(
@@ -507,6 +551,7 @@ def run_with_retries(
     setting, left = FIRST_SETTING, list(RETRY_SETTINGS)
     attempts: list[Attempt] = []
     farthest: Failure | None = None
+    coarse: list[tuple[str, float]] = []  # first violated check of each attempt
     while True:
         tried = setting.apply(deck)
         violated: list[Check] = []
@@ -532,6 +577,7 @@ def run_with_retries(
                     "coarse" if all(check.coarse for check in violated) else None
                 )
                 failure = Failure(f"{first.name}: {first.value:.3g} {first.unit}", kind=kind)
+                coarse.append((first.name, first.value))
             else:
                 raise
         blame = failure.cause, failure.node, failure.time, failure.part
@@ -547,6 +593,8 @@ def run_with_retries(
         ):
             following = None
         if following is None or len(attempts) > retries:
+            if failure.kind == "coarse":
+                _correct_time_step_error(error, violated[0], coarse, deck)
             vain = [f"{a.setting} ({a.settings})" for a in attempts[1:]]
             hints = [
                 vain and f"retries without success: {', '.join(vain)}",
@@ -560,10 +608,9 @@ def run_with_retries(
             last.violated = tuple(violated)
             last.suggested = _join_suggestions(violated)
             raise last
-        warnings.warn(
+        warn_user(
             f"with {setting.name}, the run failed: {failure.cause}; now trying {following.name}, "
-            f"because {following.why}",
-            stacklevel=2,
+            f"because {following.why}{_describe_long_retries(wall, retries - len(attempts) + 1)}"
         )
         log = (directory / deck.main_file_name).with_suffix(".log")
         if log.is_file():  # the next attempt writes a log with this name

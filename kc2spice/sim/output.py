@@ -7,7 +7,6 @@ harmless messages. Raw files are checked for completeness.
 from __future__ import annotations
 
 import re
-import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import dropwhile
@@ -18,6 +17,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from kc2spice.core.errors import SimulationError
+from kc2spice.core.user_warnings import warn_user
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.importer import DISPLAYED_PARAMETERS
@@ -84,8 +84,8 @@ _STATISTICS_PATTERNS = {
 
 _ADVICE_BY_CAUSE: Mapping[FailureKind | None, str] = {
     "timestep": "time steps become small at discontinuities and in very stiff parts: try more "
-    "damping, a softer stop, hysteresis or a finite transition width of a switch, or a smaller "
-    "solver.max_step",
+    "damping, a softer stop for impacts, a stiffer stop for an electrostatic gap, hysteresis or a "
+    "finite transition width of a switch, or a smaller solver.max_step",
     "singular": "look for loops of voltage sources, nodes between capacitors and parts of value 0",
     "operating point": "look for the included circuit's state at t = 0; give it a .nodeset",
 }
@@ -227,7 +227,7 @@ def find_alteration_error(deck: Deck, where: str, text: str) -> FailedRunError |
     fatal = [] if deck.trusted else [row for row in altered if not _DISPLAYED_PARAMETER.search(row)]
     if not fatal:
         for row in altered:
-            warnings.warn(f"ngspice: {row}", stacklevel=3)
+            warn_user(f"ngspice: {row}")
         return None
     error = FailedRunError(
         "ngspice ignored or replaced a part of this netlist",

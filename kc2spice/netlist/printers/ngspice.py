@@ -95,12 +95,15 @@ class Printer(ExpressionWriter):
         """Format the law of a behavioural source as an expression.
 
         An expression with parameters is enclosed in braces completely, because ngspice inserts the
-        content of inner braces as text.
+        content of inner braces as text. The expression of an E or G source always has braces,
+        because ngspice rejects a number directly after ``value=``.
         """
-        words = [leaf.text.lower() for leaf in select_items(walk_tree(part.law), Name)]
         text = self.write_tree(part.law)
+        if part.kind != "b":
+            return f"value={{{text}}}"
+        words = [leaf.text.lower() for leaf in select_items(walk_tree(part.law), Name)]
         inner = f"{{{text}}}" if not _BARE_NAMES.issuperset(words) else text
-        return f"{part.quantity if part.kind == 'b' else 'value'}={inner}"
+        return f"{part.quantity}={inner}"
 
     def format_model(self, model: ModelCard) -> str:
         """Return the card of a model."""

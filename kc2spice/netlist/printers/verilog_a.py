@@ -286,6 +286,11 @@ def _expand_circuit(names: VerilogWriter) -> None:
                 prefix + key, names.format_word(text)
             )
     for part in scope.elements:
+        if part.kind == "r" and len(set(part.lower_case_nodes)) == 1:
+            # In SPICE, a resistor with both terminals on one node checks the range of a parameter:
+            # its resistance is not a number outside of the range. In Verilog-A, the error of the
+            # resistor would not name the parameter, so the module omits the resistor.
+            continue
         names.where, names.part = part.where, part.key
         module.laws += map(_convert_comment, part.notes)
         if part.kind == "x":
