@@ -23,7 +23,7 @@ import numpy as np
 
 from kc2spice.core.errors import wrong
 
-_MIN_SAMPLES = 7  # smallest number of samples around the resonance; the fit has six coefficients
+MIN_SAMPLES = 7  # smallest number of samples around the resonance; the fit has six coefficients
 _FIT_ITERATIONS = 8
 OVERDAMPED_Q = 0.5  # Q factor of a critically damped circuit, whose charge has no overshoot
 # smallest peak conductance of a resonance, relative to the rms residual of the fitted circuit
@@ -81,12 +81,12 @@ def analyse_impedance(frequency: np.ndarray, impedance_ohm: np.ndarray) -> Analy
         resonance.
     """
     f, Z = np.asarray(frequency, float), np.asarray(impedance_ohm, complex)
-    if f.ndim != 1 or f.shape != Z.shape or len(f) < _MIN_SAMPLES:
+    if f.ndim != 1 or f.shape != Z.shape or len(f) < MIN_SAMPLES:
         raise wrong(
             None,
             "these arrays are not samples of an impedance",
             got=f"shapes {f.shape} and {Z.shape}",
-            expected=f"two arrays of the same length, with at least {_MIN_SAMPLES} samples",
+            expected=f"two arrays of the same length, with at least {MIN_SAMPLES} samples",
         )
     good = np.isfinite(f).all() and np.isfinite(Z).all() and (Z != 0).all()
     if not good or f[0] <= 0 or not (np.diff(f) > 0).all():
@@ -164,15 +164,15 @@ def _select_window(f: np.ndarray, Y: np.ndarray) -> slice:
     R = (1 / Y).real
     later = np.flatnonzero((R[1:-1] >= R[:-2]) & (R[1:-1] > R[2:])) + 1
     later = later[later > peak]
-    top = int(later[0]) if len(later) else min(peak + _MIN_SAMPLES, len(f) - 1)
+    top = int(later[0]) if len(later) else min(peak + MIN_SAMPLES, len(f) - 1)
     reach = max(top - peak, 4)
     low, high = max(0, peak - reach), min(len(f), top + reach // 4 + 2)
-    if high - low < _MIN_SAMPLES:
+    if high - low < MIN_SAMPLES:
         raise wrong(
             None,
             "the data have too few samples around the resonance",
             got=f"{high - low} samples around {f[peak]:g} Hz",
-            expected=f"at least {_MIN_SAMPLES} samples",
+            expected=f"at least {MIN_SAMPLES} samples",
             hint="use a smaller frequency step",
         )
     return slice(low, high)

@@ -26,6 +26,7 @@ from kc2spice.fem.body_keys import DampingKeys
 from kc2spice.fem.materials import Material, find_material
 
 SECTORS = 4  # number of equal quarters of the chip; the mesh contains only one quarter
+MAX_RINGS = 100  # largest number of contact rings
 PATCH_PORT = "patch"  # name of the port that replaces the ring ports if a pressure is given
 PAPER_CERAMIC = "THP51"  # ceramic of the chip in Schütz et al. (2021)
 
@@ -58,7 +59,7 @@ class StackMeshKeys(Section):
     rings: Count = Field(
         5,
         ge=1,
-        le=100,
+        le=MAX_RINGS,
         description=(
             "Number of rings of mesh nodes around the centre of the top face at which a contact "
             "can act"

@@ -198,15 +198,18 @@ class DampingKeys(Section):
         return 0.01 if self.ratio is None else self.ratio
 
     @property
+    def stated_loss_key(self) -> str:
+        """Damping key that states the loss of the body; empty if no key states it."""
+        names = ("ratio", "quality", "loss_factor", "per_material")
+        return next((name for name in names if getattr(self, name)), "")
+
+    @property
     def key_at_first_resonance(self) -> str:
         """Damping key whose value applies at the first resonance; empty if none is stated.
 
         With the key ``at``, or with complex constants, no value depends on the first resonance.
         """
-        if self.at is not None or self.model == "ieee176":
-            return ""
-        names = ("ratio", "quality", "loss_factor", "per_material")
-        return next((name for name in names if getattr(self, name)), "")
+        return "" if self.at is not None or self.model == "ieee176" else self.stated_loss_key
 
     def find_ratio_frequency(self, resonance_hz: float | None) -> float | None:
         """Return the frequency [Hz] at which the damping ratio is :attr:`zeta`."""

@@ -145,6 +145,16 @@ def read_poling(path: Path, where: str, axisymmetric: bool) -> PolingTable:
     if columns == COLUMN_LAYOUTS[0]:
         numbers = _convert_element_numbers(table[:, 0], rows, where)
         return PolingTable(where, rows, table[:, -3:], numbers, None)
+    outside = np.flatnonzero(table[:, 1])
+    if axisymmetric and outside.size:
+        raise wrong(
+            where,
+            f"row {rows[outside[0]]}: the point is not in the plane of the axisymmetric mesh",
+            got=f"y = {table[outside[0], 1]:g}",
+            expected="y = 0",
+            hint="write the radius in the column x and the height in the column z, even if the "
+            "mesh file contains the height as y",
+        )
     points = table[:, [0, 2] if axisymmetric else [0, 1, 2]]
     return PolingTable(where, rows, table[:, -3:], None, points)
 
@@ -226,10 +236,12 @@ def _reject_invalid_directions(
     if axisymmetric and out.size:
         raise wrong(
             where,
-            f"row {rows[out[0]]}: the poling is not in the plane of the axisymmetric mesh",
+            f"row {rows[out[0]]}: the poling direction is not in the plane of the axisymmetric "
+            "mesh",
             got=f"py = {directions[out[0], 1]:g}",
             expected="py = 0",
-            hint="use a 3D mesh for a poling along the hoop direction",
+            hint="write the axial component of the poling in the column pz; for poling "
+            "along the hoop direction, use a 3D mesh",
         )
 
 

@@ -333,7 +333,7 @@ def require_format(path: Path, head: bytes | None = None) -> None:
     """
     known = FILE_FORMATS.get(path.suffix.lower())
     if known is None:
-        hint = "save the volume mesh as .msh, such as with gmsh"
+        hint = "save the volume mesh as .msh, for example with gmsh"
         if path.suffix.lower() in SURFACE_SUFFIXES:
             hint = "save the CAD model as .step: this file contains surfaces, not volumes"
         raise wrong(

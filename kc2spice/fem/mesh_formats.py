@@ -295,8 +295,8 @@ def _collect_element_sets(
     """Return the element numbers of each set, keyed by name and dimension of the set."""
     result: dict[tuple[str, int], np.ndarray] = {}
     starts = np.cumsum([0, *(len(cells.data) for cells in mesh.cells)])
-    named = list(_list_named_sets(mesh, file, reader, starts))
-    for name, members in named:
+    named_sets = list(_list_named_sets(mesh, file, reader, starts))
+    for name, members in named_sets:
         for d in np.unique(dimensions[members]):
             text = name
             if any(other == name for other, _ in result):

@@ -6,7 +6,6 @@ If the factors of a model would exceed the memory, an error is raised before the
 from __future__ import annotations
 
 import hashlib
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -18,6 +17,7 @@ import scipy
 from kc2spice.core.errors import MissingToolError, SimulationError, UsageError
 from kc2spice.core.gmsh_session import gmsh_session
 from kc2spice.core.memory import find_available_bytes
+from kc2spice.core.user_warnings import warn_user
 from kc2spice.linalg.openblas_kernels import use_fast_kernels
 from kc2spice.linalg.solver import (
     DirectSolver,
@@ -430,10 +430,9 @@ def _order_by_dissection(matrix: scipy.sparse.csc_array) -> np.ndarray | None:
         try:
             old, new = _order_graph(np.column_stack([key // first.size, key % first.size]))
         except MissingToolError as error:
-            warnings.warn(
+            warn_user(
                 f"the fast ordering of large matrices is not available, so "
-                f"factorisations take longer: {error}",
-                stacklevel=2,
+                f"factorisations take longer: {error}"
             )
             return None
         place[old] = new

@@ -11,10 +11,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
+from typing import ClassVar
 
 import numpy as np
 import scipy
 
+from kc2spice.core.attribute_advice import WRITING_METHODS, AdvisesOnAttributes
 from kc2spice.core.domains import THERMAL
 from kc2spice.core.errors import UsageError, unknown
 from kc2spice.rom.band import parse_band
@@ -122,7 +124,7 @@ class AffineTerm:
 
 
 @dataclass(frozen=True, eq=False)
-class AffineModel:
+class AffineModel(AdvisesOnAttributes):
     """Model whose matrices (M and K, or E and K of heat models) depend on parameters.
 
     The stiffness is ``K(p) = K + sum f_i(p) K_i``. M and E are sums of the same form.
@@ -163,6 +165,17 @@ class AffineModel:
     >>> reduced.certificate.error_estimate < 1e-3
     True
     """
+
+    _attribute_advice: ClassVar[Mapping[str, str]] = {
+        **dict.fromkeys(
+            (*WRITING_METHODS, "reduce"),
+            "kc.reduce(MODEL, tolerance=1e-3) returns a reduced model; "
+            'kc.parametric_subcircuit(REDUCED, "NAME").write("NAME.lib") writes its netlist',
+        ),
+        **dict.fromkeys(
+            ("transfer", "plot", "ports"), "evaluate(VALUES) returns a model without parameters"
+        ),
+    }
 
     model: LinearModel
     terms: Sequence[AffineTerm | tuple[str, Matrix, Factor]] = ()

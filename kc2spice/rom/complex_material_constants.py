@@ -31,6 +31,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from kc2spice.core.error_norms import PEAK_SHARE
 from kc2spice.core.errors import UsageError
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.modal_models import Resonators, compute_permittivity_ratio, fit_foster_network
@@ -39,7 +40,6 @@ from kc2spice.rom.structural_damping import (
     compute_causal_stiffness_factor,
     fit_relaxing_stiffness,
 )
-from kc2spice.rom.transfer_function_error_scales import PEAK_SHARE
 
 # permitted relative error of the response at resonances due to approximation by relaxations
 MAX_RELAXATION_ERROR = 1e-3

@@ -12,6 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
+from kc2spice.core.error_norms import PEAK_SHARE
 from kc2spice.core.errors import SimulationError
 from kc2spice.rom.linear_model import LinearModel, Norm, Port
 from kc2spice.rom.response import (
@@ -24,11 +25,7 @@ from kc2spice.rom.response import (
     make_frequency_grid,
     sample_resonances,
 )
-from kc2spice.rom.transfer_function_error_scales import (
-    PEAK_SHARE,
-    EntryScales,
-    get_min_relative_divisor,
-)
+from kc2spice.rom.transfer_function_error_scales import EntryScales, get_min_relative_divisor
 
 # Frequencies above the band at which errors are computed, as multiples of the upper band limit.
 # Errors above the band are computed because contacts also excite a body above the band.

@@ -16,7 +16,6 @@ basis).
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
@@ -27,6 +26,7 @@ import scipy
 
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.naming import list_names
+from kc2spice.core.user_warnings import warn_user
 from kc2spice.rom.error_estimate import ErrorEstimator
 from kc2spice.rom.interface_reduction import (
     make_no_congruence_error,
@@ -126,11 +126,10 @@ class HeatReduction:
         except SimulationError:
             result, samples = self._reduce(task, flows=False)
         apart = max(item.compute_flow_error(result) for item in samples)
-        warnings.warn(
+        warn_user(
             f"{result.name}: the error estimate covers only temperatures; within the parameter "
             "ranges and the frequency band, heat flows at pins with prescribed temperatures have a "
-            f"relative error of up to {apart:.1g}",
-            stacklevel=3,
+            f"relative error of up to {apart:.1g}"
         )
         return result
 

@@ -208,7 +208,7 @@ def require_rom_file(path: Path) -> None:
             "this path is a directory" if path.is_dir() else "this file does not exist",
             where=str(path),
             expected=_EXPECTED_FILE,
-            hint=REDUCE_HINT,
+            hint=next((f"write {archive}" for archive in sorted(path.glob("*.npz"))), REDUCE_HINT),
         )
 
 

@@ -8,14 +8,16 @@ are built from the state-space matrices of a model, which other libraries can al
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 import scipy
 
+from kc2spice.core.attribute_advice import WRITING_METHODS, AdvisesOnAttributes
 from kc2spice.core.domains import ELECTRICAL, PORTS, THERMAL, Domain
 from kc2spice.core.errors import UsageError, unknown
 from kc2spice.core.optional_libraries import import_optional
@@ -168,7 +170,7 @@ class Certificate:
 
 
 @dataclass(frozen=True, repr=False, eq=False, kw_only=True)
-class LinearModel:
+class LinearModel(AdvisesOnAttributes):
     """Linear model ``M x'' + E x' + K x = B u``, ``y = C x + D u`` with ports.
 
     In a second-order model, ``A`` is None. A first-order model ``E x' = A x + B u``, ``y = C x +
@@ -206,6 +208,15 @@ class LinearModel:
     are missing.
     """
 
+    _attribute_advice: ClassVar[Mapping[str, str]] = {
+        **dict.fromkeys(
+            WRITING_METHODS,
+            'kc.subcircuit(MODEL, "NAME").write("NAME.lib") writes the netlist of a reduced model',
+        ),
+        "plot": "MODEL.transfer(FREQUENCIES) returns the response to plot",
+        "reduce": "kc.reduce(MODEL, tolerance=1e-3) returns a reduced model",
+    }
+
     B: np.ndarray
     C: np.ndarray = None  # type: ignore[assignment]
     D: np.ndarray = None  # type: ignore[assignment]
@@ -242,10 +253,11 @@ class LinearModel:
         for letter in "MEKA":
             put(self, letter, _convert_matrix(getattr(self, letter), letter, self.name))
         put(self, "rayleigh", _read_rayleigh(self.rayleigh, self.name))
-        n = (self.A if first else self.K).shape[0]
         B, C, D = (_convert_matrix(getattr(self, k), k, self.name, sparse=False) for k in "BCD")
+        n = self._find_most_common_size(B)
         if self.M is not None and self.E is None and self.rayleigh is None:
             _reject_ambiguous_outputs(C, B, n, self.name)
+            _reject_ambiguous_feedthrough(D, n, self.name)
         C = B.T.copy() if C is None else C
         m, p = B.shape[1], C.shape[0]
         D = np.zeros((p, m)) if D is None else D
@@ -279,6 +291,15 @@ class LinearModel:
                 )
         put(self, "ports", _complete_ports(tuple(self.ports), m, p, self.name))
         _reject_mixed_thermal_ports(self)
+
+    def _find_most_common_size(self, B: np.ndarray) -> int:
+        """Return the number of rows that most of the matrices M, E, K, A and B have.
+
+        If two numbers are equally common, return the number of rows of A or K.
+        """
+        stated = (self.K, self.A, self.M, self.E, B)
+        rows = [int(matrix.shape[0]) for matrix in stated if matrix is not None]
+        return Counter(rows).most_common(1)[0][0]
 
     @property
     def order(self) -> int:
@@ -695,6 +716,19 @@ def _reject_ambiguous_outputs(C: np.ndarray | None, B: np.ndarray, n: int, where
             got=f"a square C of {n} rows beside M and K",
             expected="a damping matrix with the name E, or one row of C for each output",
             hint="if C is the damping matrix, pass it as E; if C is the output matrix of an "
+            "undamped model, add rayleigh=(0, 0)",
+        )
+
+
+def _reject_ambiguous_feedthrough(D: np.ndarray | None, n: int, where: str) -> None:
+    """Reject a square feedthrough matrix D that may be meant as a damping matrix."""
+    if D is not None and D.shape == (n, n) and D.any():
+        raise UsageError(
+            "it is not stated whether matrix D is the damping matrix or the feedthrough matrix",
+            where=where,
+            got=f"a square D of {n} rows beside M and K",
+            expected="a damping matrix with the name E, or D and rayleigh=(0, 0)",
+            hint="if D is the damping matrix, pass it as E; if D is the feedthrough matrix of an "
             "undamped model, add rayleigh=(0, 0)",
         )
 

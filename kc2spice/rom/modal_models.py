@@ -183,8 +183,10 @@ def tabulate_modes(model: LinearModel) -> dict[str, Any] | None:
     for j, higher in zip(order[:LISTED_MODES], above, strict=False):
         if omega[j] > 2 * np.pi * end:
             break
-        total = share[j] + np.maximum(higher, 0.0)
-        factor = np.sqrt(np.divide(share[j], total, out=np.zeros_like(total), where=total > 0))
+        # a mode that a port does not excite has a share of zero plus or minus a rounding error
+        capacitance = np.maximum(share[j], 0.0)
+        total = capacitance + np.maximum(higher, 0.0)
+        factor = np.sqrt(np.divide(capacitance, total, out=np.zeros_like(total), where=total > 0))
         size = np.where(electrical, factor, share[j])
         modes.append(
             {

@@ -11,8 +11,9 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
+from kc2spice.core.attribute_advice import WRITING_METHODS, AdvisesOnAttributes
 from kc2spice.rom.linear_model import Certificate, LinearModel, Norm, Port
 from kc2spice.rom.parametric_models import Full, ParameterAxis, Values
 
@@ -39,12 +40,22 @@ class RangeTask:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class ModelOverRanges(ABC):
+class ModelOverRanges(AdvisesOnAttributes, ABC):
     """Reduced-order model that is valid over ranges of parameters.
 
     ``defaults``, ``units`` and ``descriptions`` are keyed by parameter. For a body of a scene, the
     three mappings are empty, because the keys of the body contain the same information.
     """
+
+    _attribute_advice: ClassVar[Mapping[str, str]] = {
+        **dict.fromkeys(
+            WRITING_METHODS,
+            'kc.parametric_subcircuit(MODEL, "NAME").write("NAME.lib") writes the netlist',
+        ),
+        **dict.fromkeys(
+            ("transfer", "plot"), "evaluate(VALUES) returns a model without parameters"
+        ),
+    }
 
     ports: tuple[Port, ...]
     name: str = "model"

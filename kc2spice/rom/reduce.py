@@ -15,7 +15,6 @@ intermediate model. The difference is computed at and beside every resonance and
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
@@ -24,6 +23,8 @@ from typing import get_args
 import numpy as np
 
 from kc2spice.core.errors import UsageError, name_part_in_errors, unknown
+from kc2spice.core.unit_spelling import convert_percentage
+from kc2spice.core.user_warnings import warn_user
 from kc2spice.linalg.factor import require_memory_for_factors
 from kc2spice.linalg.solver import DirectSolver, use_solver
 from kc2spice.rom.band import choose_natural_band
@@ -259,11 +260,10 @@ def compute_first_step(
     finally:
         proof = prove_stability(pencil, band, result.poles if result else None)
         if proof.stable is False:
-            warnings.warn(
-                "the full model is unstable: the frequency response neglects modes that grow "
-                "without excitation; check the signs of the matrices, and that both triangles "
-                "are present",
-                stacklevel=3,
+            warn_user(
+                "the full model is unstable: the frequency response neglects its unstable "
+                "modes; check the signs of the matrices, and that the upper and lower triangles "
+                "of each matrix are present"
             )
     return result, proof
 
@@ -370,17 +370,15 @@ def warn_of_rounding_errors(rom: LinearModel, floor: float, tolerance: float | N
     assert rom.certificate is not None
     estimate = rom.certificate.error_estimate
     if floor > tolerance:
-        warnings.warn(
+        warn_user(
             f"the response of the full model has an error of {floor:.1e}, because its matrix "
-            f"entries are rounded; other units or fewer elements may reduce this error",
-            stacklevel=4,
+            f"entries are rounded; other units or fewer elements may reduce this error"
         )
     elif tolerance < estimate:
-        warnings.warn(
+        warn_user(
             f"the error estimate of the reduced model is {estimate:.2g}, more than the tolerance "
             f"{tolerance:g}, because it includes rounding errors of the matrix entries, which "
-            f"change the response of the full model by {floor:.1e}",
-            stacklevel=4,
+            f"change the response of the full model by {floor:.1e}"
         )
 
 
@@ -441,12 +439,15 @@ def require_valid_target(target: ReductionTarget) -> None:
             hint="leave out order" if order is not None else "add tolerance=1e-4",
         )
     if tolerance is not None and not MIN_TOLERANCE <= tolerance < 1:
+        fraction = convert_percentage(tolerance)
         raise UsageError(
             "the tolerance is out of range",
             where="tolerance",
-            got=tolerance,
+            got=f"{tolerance:g}",
             expected=f"at least {MIN_TOLERANCE:g} and below 1",
-            hint="for example 1e-4, which is an error estimate of 0.01 %",
+            hint="write tolerance=1e-4, which is an error estimate of 0.01 %"
+            if fraction is None or fraction >= 1
+            else f"for {tolerance:g} %, write tolerance={fraction:g}",
         )
     if order is not None and (order < 1 or order != int(order)):
         raise UsageError(

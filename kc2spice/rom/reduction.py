@@ -9,11 +9,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import PurePath
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any, ClassVar, overload
 
 import numpy as np
 
 from kc2spice.core.argument_and_option_names import check_arguments
+from kc2spice.core.attribute_advice import WRITING_METHODS, AdvisesOnAttributes
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import convert_quantity
 from kc2spice.linalg.solver import DirectSolver, use_solver
@@ -124,9 +125,10 @@ def reduce(
         ``band`` is the band of the model. If the model has no band, the band ends a little above
         the fifth natural frequency.
     norm : "pointwise" or "peak", optional
-        Divisor of the error of each response entry: the size of the entry at the same frequency
-        (``"pointwise"``), or the largest size of the entry in the band (``"peak"``). The default is
-        ``"peak"`` for models whose ports are all signals, and ``"pointwise"`` for all other models.
+        Divisor of the error of each response entry: the size of the entry at the same frequency,
+        but at least a millionth of its peak (``"pointwise"``), or the largest size of the entry in
+        the band (``"peak"``). The default is ``"peak"`` for models whose ports are all signals, and
+        ``"pointwise"`` for all other models.
     contact : bool, default False
         Whether the reduced model also represents the response above the band. Contacts excite a
         body at frequencies above the band. Bodies of scenes are always reduced with
@@ -149,8 +151,10 @@ def reduce(
         * ``"rational Krylov"``: responses and their derivatives at several frequencies;
         * ``"IRKA"``: local optimum in the H2 norm.
 
-        By default, response POD and the variants of balanced truncation that suit the model are
-        tried.
+        By default, only methods are tried that preserve passivity: response POD, and for symmetric
+        first-order models also balanced truncation by congruence. If all ports are signals, the
+        other variants of balanced truncation are tried too, and the model with the fewest states
+        is returned. ``kc2spice reduce --method compare`` compares all methods.
     parameters : mapping, optional
         Leave this argument out; any entry raises a UsageError, which explains where to state
         parameters. The parameters of a model are stated in a :class:`kc2spice.AffineModel`, or in
@@ -259,7 +263,7 @@ def _reject_unused_options(**options: object) -> None:
             )
 
 
-class Reduction:
+class Reduction(AdvisesOnAttributes):
     """Repeated reduction of one full-order model, for different tolerances or orders.
 
     The full-order model is factorised and solved only once. The solutions of the full-order model
@@ -310,6 +314,10 @@ class Reduction:
     >>> reduction.error(6) < 1e-3 < reduction.error(4)
     True
     """
+
+    _attribute_advice: ClassVar[Mapping[str, str]] = dict.fromkeys(
+        (*WRITING_METHODS, "model", "plot"), "the method reduce(tolerance=1e-3) returns a model"
+    )
 
     def __init__(
         self,

@@ -8,13 +8,13 @@ rigid-body modes.
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import replace
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import scipy
 
+from kc2spice.core.user_warnings import warn_user
 from kc2spice.linalg.extended_precision import ExtendedPrecisionMatrix
 from kc2spice.rom.pencil import (
     Matrix,
@@ -228,11 +228,10 @@ def estimate_hidden_frequency(pencil: Pencil, X: np.ndarray, low: float) -> floa
     support = size > ENERGY_MARGIN * random
     frequency = float(np.sqrt((size / mass)[support].max(initial=0.0)) / (2 * np.pi))
     if support.any() and low < SUPPORT_RATIO * frequency:
-        warnings.warn(
+        warn_user(
             "the stiffness of a support is below the rounding errors of the stiffness matrix: "
             f"the model neglects the support and its resonance at about {frequency:.2g} Hz; "
-            "model the support as a part of the circuit",
-            stacklevel=2,
+            "model the support as a part of the circuit"
         )
     return float(np.sqrt((ENERGY_FACTOR * random / mass).max()) / (2 * np.pi))
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import replace
 
 import numpy as np
 
+from kc2spice.core.user_warnings import warn_user
 from kc2spice.rom.error_estimate import compute_relative_errors
 from kc2spice.rom.intermediate_model import IntermediateModel
 from kc2spice.rom.pencil import Pencil, compute_absolute_entries
@@ -135,10 +135,9 @@ def describe_uncertainty(at: np.ndarray, size: np.ndarray, tolerance: float) -> 
     worst = int(size.argmax())
     effect = f"changes the response by {size[worst]:.1e} at {at[worst]:.5g} Hz"
     if size[worst] > tolerance:
-        warnings.warn(
-            f"rounding of the matrix entries {effect}; the reduction does not correct these "
-            f"rounding errors",
-            stacklevel=2,
+        warn_user(
+            f"rounding of the matrix entries {effect}; the reduction cannot correct this "
+            "change, and a direct solution of the full model can be even less accurate"
         )
     return f"; rounding of the matrix entries {effect}" if size[worst] > STATED_UNCERTAINTY else ""
 

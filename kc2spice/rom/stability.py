@@ -7,13 +7,13 @@ reduction.
 from __future__ import annotations
 
 import math
-import warnings
 from dataclasses import dataclass
 
 import numpy as np
 import scipy
 
 from kc2spice.core.errors import SimulationError
+from kc2spice.core.user_warnings import warn_user
 from kc2spice.linalg.factor import factorise
 from kc2spice.rom.pencil import Matrix, Pencil, SchurComplement, find_largest_entry, is_symmetric
 from kc2spice.rom.rigid_body import split_rigid_body
@@ -74,10 +74,9 @@ def prove_stability(
     try:
         dissipates = is_dissipative(pencil)
     except MemoryError:
-        warnings.warn(
-            "the free memory is too small to prove stability and passivity, so both are "
-            "unknown; the error estimate is valid",
-            stacklevel=2,
+        warn_user(
+            "there is not enough free memory to prove stability and passivity, so both properties "
+            "are unknown; the error estimate is valid"
         )
         return StabilityProof(None, False, "not enough memory for another factorisation")
     if dissipates:

@@ -20,7 +20,6 @@ Sources: S. H. Crandall, J. Sound Vib. 11 (1970) 3; D. J. Ewins, Modal Testing (
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -30,6 +29,7 @@ import scipy
 
 from kc2spice.core.domains import ACCELERATION
 from kc2spice.core.errors import SimulationError, UsageError
+from kc2spice.core.user_warnings import warn_user
 from kc2spice.rom.constraints import eliminate_algebraic_unknowns
 from kc2spice.rom.error_estimate import choose_adaptive_frequencies
 from kc2spice.rom.linear_model import LinearModel, Norm
@@ -108,11 +108,10 @@ def approximate_causally(
     )
     estimate = max(error, SAFETY_FACTOR * search.compute_verified_error(result))
     if estimate > tolerance:
-        warnings.warn(
+        warn_user(
             f"no causal model has structural damping{_describe_loss(model)} at all frequencies; "
             f"the response of the nearest passive model has a relative error of {difference:.2g}, "
-            f"more than the tolerance {tolerance:g}",
-            stacklevel=4,
+            f"more than the tolerance {tolerance:g}"
         )
     certificate = replace(
         known,

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-# Smallest value by which the error of an entry is divided, as a share of the entry's peak.
-PEAK_SHARE = 1e-6
+from kc2spice.core.error_norms import PEAK_SHARE
+
 # An entry counts as zero if (entry / geometric mean of row and column) is below this ratio.
 # Rounding errors are about eps times the Q factor of the resonance: 2e-13 for a Q factor of 1000.
 ZERO_ENTRY = 1e-11

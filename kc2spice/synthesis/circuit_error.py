@@ -8,7 +8,6 @@ model plus the circuit error.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -16,6 +15,7 @@ import numpy as np
 
 from kc2spice.core.domains import ACCELERATION, TRANSLATION
 from kc2spice.core.errors import GateMissedError, SimulationError
+from kc2spice.core.user_warnings import warn_user
 from kc2spice.netlist.circuit import Circuit, Pin
 from kc2spice.netlist.nodal import NodalCircuit
 from kc2spice.netlist.subcircuit_library import Subcircuit
@@ -267,12 +267,11 @@ def require_circuit_tolerance(part: Subcircuit, model: LinearModel, tolerance: f
     total = f"{reduction.error_estimate:.2g}"
     got = f"{total}, of which circuit elements cause {share:.2g} at {frequency:.6g} Hz"
     if share <= PERTURBATION_SPREAD * estimate_rounding_effect(model, frequency):
-        warnings.warn(
+        warn_user(
             (
                 f"{part.name}: the error estimate is {got}; rounding errors in the matrices of the "
                 f"model alone can cause an error of {share:.2g}, so no circuit can be more accurate"
             ),
-            stacklevel=2,
         )
         return
     raise GateMissedError(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Sequence
 from itertools import product
 
@@ -10,7 +9,7 @@ import numpy as np
 
 from kc2spice.netlist.circuit import Element, Param, Parameters
 from kc2spice.netlist.number_and_name_spelling import format_number
-from kc2spice.netlist.shared_cards import Line
+from kc2spice.netlist.shared_cards import Line, convert_to_element_name
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.range_reduction import ModelOverRanges
 
@@ -76,5 +75,5 @@ def write_range_stops(parameters: Sequence[Param], base: str) -> Iterator[Line]:
     """
     for k, p in enumerate(parameters, 1):
         words = f"{p.name}_must_be_{p.low:.6g}_to_{p.high:.6g}"
-        suffix = re.sub(r"\W", lambda c: {".": "p", "-": "m", "+": ""}[c[0]], words)
+        suffix = convert_to_element_name(words)
         yield Element.from_words(f"R{suffix}", "tick", base, f"{{sqrt(inside{k})}}")

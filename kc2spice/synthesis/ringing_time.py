@@ -11,13 +11,13 @@ Without damping, the ringing lasts until the end of the run.
 from __future__ import annotations
 
 import math
-import warnings
 from dataclasses import dataclass
 from itertools import accumulate
 
 import numpy as np
 
 from kc2spice.core.si_prefix_format import format_quantity
+from kc2spice.core.user_warnings import warn_user
 from kc2spice.netlist.deck import Deck
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.modal_models import compute_resonators
@@ -123,11 +123,10 @@ def warn_of_long_run(build: BuiltScene, deck: Deck) -> None:
         step = format_quantity(build.largest_step.step, "s", 3)
         end = "solver.stop" if scene.analysis.stop is None else "analysis.stop"
         larger = "A larger solver.max_step or a smaller" if scene.solver.max_step else "A smaller"
-        warnings.warn(
+        warn_user(
             f"this run needs at least {points:.2g} time points and {seconds:.2g} s of CPU time, "
             f"because its largest time step is {step} ({build.largest_step.why}). {larger} "
-            f"{end} reduces the number of points",
-            stacklevel=3,
+            f"{end} reduces the number of points"
         )
 
 
@@ -143,4 +142,4 @@ def _warn_of_ringing(build: BuiltScene, deck: Deck) -> None:
             continue
         result = estimate_ringing(name, model, span, deck.reltol)
         if result is not None and result.points > MANY_POINTS and result.frequency:
-            warnings.warn(str(result), stacklevel=3)
+            warn_user(str(result))

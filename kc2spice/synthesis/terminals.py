@@ -33,6 +33,11 @@ CROSS_ROUNDING = 1e-13
 # If C B is not zero, the rate of an output jumps when an input jumps.
 NEGLIGIBLE_JUMP = 1e-9
 INNER_NODE_PATTERN = r"tick|(inner|current|charge)\w*|sum\d+|[qpz]\d+|noise\d+"
+# The names that INNER_NODE_PATTERN does not match, in words.
+PERMITTED_PIN_NAMES = (
+    "a name that is not reserved; reserved names are `tick`, names that begin with `inner`, "
+    "`current` or `charge`, and `p`, `q`, `z`, `sum` or `noise` followed by a number"
+)
 OUTWARDS_COMMENT = (
     "* Displacements (um) are positive along a port's outward direction. A current into its pin is",
     "* a force on the body in this direction (rotations: right-hand rule of the port's axis).",
@@ -360,7 +365,12 @@ def get_flow_node_pattern(pin: Pin) -> str:
 
 def require_distinct_pins(pins: Iterable[Pin], inner: Iterable[str], name: str) -> None:
     """Raise an error if a pin has the name of another pin or of an internal node."""
-    require_distinct(list(map(attrgetter("name"), pins)), "|".join(inner), where=checked_name(name))
+    require_distinct(
+        list(map(attrgetter("name"), pins)),
+        "|".join(inner),
+        where=checked_name(name),
+        expected=PERMITTED_PIN_NAMES,
+    )
 
 
 def find_reference_pin(ports: Sequence[Port]) -> Pin:

@@ -6,6 +6,8 @@ such as Abaqus, Ansys, CalculiX, COMSOL and Nastran.
 
 from __future__ import annotations
 
+import contextlib
+import glob
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -24,11 +26,13 @@ from kc2spice.bodies.readers.matrix_model_parameters import (
     make_model_parameter,
     make_term,
 )
-from kc2spice.bodies.readers.measured_admittance import TABLE_SUFFIXES
+from kc2spice.bodies.readers.measured_admittance import TABLE_SUFFIXES, load_tables
 from kc2spice.bodies.readers.mesh import read_nodes
 from kc2spice.bodies.readers.sidecar import Sidecar, TermEntry, read_sidecar
 from kc2spice.core.argument_and_option_names import check_arguments
 from kc2spice.core.errors import UsageError, wrong
+from kc2spice.core.other_file_formats import identify_format, make_other_format_error, read_head
+from kc2spice.core.user_warnings import warn_user
 from kc2spice.rom.affine import AffineModel, AffineTerm, sum_affine_terms
 from kc2spice.rom.io import MARKET_BANNER, parse_matrix_market, parse_numbers
 from kc2spice.rom.linear_model import LinearModel
@@ -193,7 +197,9 @@ def _read_matrix_terms(
         )
     base, files, _, settings = locate_model(path, sidecar)
     path = files.pop(_SINGLE_FILE, path)  # the user may write NAME for the file NAME.npz
+    _require_named_format(path, {**files, **settings.files}, settings)
     result = _read_files(path, {**files, **settings.files}, settings.matrices)
+    _warn_of_unused_matrices(path, base, files, result, settings)
     sound = {
         k: raw_matrices.require_matrix(m, k, result.files.get(k, path))
         for k, m in result.matrices.items()
@@ -219,6 +225,85 @@ def _read_matrix_terms(
             matrix = sound.pop(entry.matrix)
         terms.append(make_term(settings, number, matrix))
     return LabelledMatrices(base.name, str(path), settings, result, sound), terms
+
+
+def _require_named_format(path: Path, files: Mapping[str, Path], settings: Sidecar) -> None:
+    """Reject names of matrices for files that contain no names.
+
+    Raises
+    ------
+    UsageError : the TOML file contains `matrices`, but the format of the model has no names.
+    """
+    unnamed = (".full", *fem_program_formats.SUFFIXES)
+    if settings.matrices and (files or path.suffix.lower() in unnamed):
+        names = [file.name for file in files.values()] or [path.name]
+        raise wrong(
+            f"{settings.file_path}: matrices",
+            "this file format does not contain names of matrices",
+            got=", ".join(names[:5]),
+            expected=f"a file whose name ends with {', '.join(NAMED_FORMATS)}",
+            hint="delete the key `matrices`; to name a file for each matrix, use the key `files`",
+        )
+
+
+def _warn_of_unused_matrices(
+    path: Path,
+    base: Path,
+    files: Mapping[str, Path],
+    model: raw_matrices.RawMatrices,
+    settings: Sidecar,
+) -> None:
+    """Warn of matrices that have the size of the model, but an unknown name.
+
+    The matrices are in the file of the model, or in Matrix Market files beside its other files.
+    """
+    square = next((m for k, m in model.matrices.items() if k in "MKA"), None)
+    size = 0 if square is None else square.shape[0]
+    key, unknown = "matrices", {name: (name, shape) for name, shape in model.unknown.items()}
+    terms = {entry.name for entry in settings.terms}
+    if files:
+        listed = [*files.values(), *settings.files.values(), *(t.file for t in settings.terms)]
+        used = {file.resolve() for file in listed if file}
+        found = [*base.parent.glob(f"{glob.escape(base.name)}[._]*.mtx")]
+        key, unknown = (
+            "files",
+            {
+                file.stem[len(base.name) + 1 :]: (file.name, _read_market_shape(file))
+                for file in sorted(found)
+                if file.resolve() not in used and file.stem[len(base.name) + 1 :].isalnum()
+            },
+        )
+    for name, (text, shape) in unknown.items():
+        if size < 2 or len(shape) != 2 or size not in shape or name in terms:
+            continue
+        advice = "if the model needs it, give it one of these names"
+        if shape == (size, size):
+            advice = "if the model needs it, add it to the damping matrix"
+            if not {"E", settings.damping_matrix} & set(model.matrices):
+                advice = (
+                    "if it is the damping or gyroscopic matrix, write  "
+                    f'{key} = {{ E = "{text}" }}  into {base.name}.toml'
+                )
+        warn_user(
+            f"{path}: matrix {name} of {shape[0]} x {shape[1]} is not used, because its name is "
+            f"none of {', '.join(raw_matrices.LETTERS)}: {advice}; "
+            "otherwise remove it"
+        )
+
+
+def _read_market_shape(path: Path) -> tuple[int, ...]:
+    """Read the shape of a matrix from the head of a Matrix Market file.
+
+    Return an empty tuple if the head contains no shape.
+    """
+    lines = _read_head(path).splitlines()
+    if not lines or not lines[0].lower().startswith(MARKET_BANNER):
+        return ()
+    for line in lines[1:]:
+        words = line.split()
+        if words and not words[0].startswith(b"%"):
+            return tuple(int(word) for word in words[:2] if word.isdigit())
+    return ()
 
 
 def _read_term(
@@ -304,8 +389,7 @@ _ARRAYS_EXPECTED = (
     "K.indptr, K.shape and K.format, or in a file of its own, NAME.K.mtx, by scipy.io.mmwrite"
 )
 _JOB_EXPECTED = f"{', '.join(fem_program_formats.SUFFIXES)} of one job"
-SPREADSHEET_SUFFIXES = (".xlsx", ".xlsm", ".xls", ".ods")
-NAMED_FORMATS = (".npz", ".op4", ".pch")  # formats that contain names of matrices
+NAMED_FORMATS = (".npz", ".mat", ".op4", ".pch")  # formats that contain names of matrices
 # Description and reader of each format with all matrices in one file, keyed by file extension.
 # The second argument of a reader is the mapping `matrices` in the TOML file.
 # The mapping `matrices` contains the names of the matrices inside the file.
@@ -457,21 +541,23 @@ def _read_files(
             hint="kc2spice reduce --help lists the kinds of files",
         )
     if suffix not in READERS:
-        if suffix in SPREADSHEET_SUFFIXES:
-            raise wrong(
-                str(path),
-                "this file is a spreadsheet, which kc2spice does not read",
-                got=path.name,
-                expected="a table of text, such as a .csv file",
-                hint=f"save the sheet with the measurement as {path.stem}.csv",
-            )
-        hint = 'or name the files in NAME.toml: files = { K = "...", M = "..." }'
-        got = "a file whose name does not end with the letter of a matrix"
-        raise raw_matrices.make_unusable_file_error(
-            path, got, "names such as NAME.K, NAME_K.mtx or JOB_STIF1.mtx", hint
-        )
+        raise _make_unknown_file_error(path)
     expected, read = READERS[suffix]
     return raw_matrices.call_reader(path, expected, lambda: read(path, requested))
+
+
+def _make_unknown_file_error(path: Path) -> UsageError:
+    """Make the error for a file whose name belongs to no format of matrices."""
+    matrices = "matrices with names such as NAME.K, NAME_K.mtx or JOB_STIF1.mtx"
+    expected = f"{matrices}, or measured values such as NAME.csv"
+    if (name := identify_format(read_head(path), path.suffix)) is not None:
+        return make_other_format_error(path, name, "matrices", expected)
+    hint = 'to use other names, name the files in NAME.toml: files = { K = "...", M = "..." }'
+    with contextlib.suppress(ValueError, OSError):
+        load_tables(path)
+        hint = f"if this table contains measured values, rename it to {path.stem}.csv"
+    problem = "the name of this file is not the name of a matrix or of measured values"
+    return raw_matrices.make_unusable_file_error(path, path.name, expected, hint, problem)
 
 
 def _read_matrices(files: dict[str, Path]) -> raw_matrices.RawMatrices:

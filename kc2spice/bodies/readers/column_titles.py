@@ -8,7 +8,7 @@ no known meaning are not used.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -56,6 +56,25 @@ class ColumnTitleError(ValueError):
     def __init__(self, message: str, advice: str) -> None:
         super().__init__(message)
         self.advice = advice
+
+
+class MissingUnitError(ColumnTitleError):
+    """Error for a title whose quantity is known only together with a unit.
+
+    ``title`` is the title in the file, ``choices`` are the possible quantities with their units,
+    and ``unit`` is the unit of the first of these quantities. ``corrected_title`` is the title with
+    this unit.
+    """
+
+    def __init__(self, text: str, stem: str, meanings: Sequence[ColumnKind]) -> None:
+        self.title, self.choices = text.strip(), list(map(_describe_quantity, meanings))
+        self.unit = DEFAULT_UNITS[meanings[0].measures[0]]
+        self.corrected_title = f"{stem.strip()} ({self.unit})"
+        super().__init__(
+            f"column {self.title!r} has no unit; its values can be {' or '.join(self.choices)}, "
+            "so add the unit to the title",
+            _advise_title(stem, meanings[0].measures[0]),
+        )
 
 
 @dataclass(frozen=True)
@@ -194,12 +213,7 @@ def read_title(text: str) -> ColumnTitle | None:
         if unit_text is None:
             first = next((m for m in meanings if not m.needs_unit), None)
             if first is None:
-                choices = list(map(_describe_quantity, meanings))
-                raise ColumnTitleError(
-                    f"column {text.strip()!r} has no unit; its values can be "
-                    f"{' or '.join(choices)}, so add the unit to the title",
-                    _advise_title(stem, meanings[0].measures[0]),
-                )
+                raise MissingUnitError(text, stem, meanings)
             return ColumnTitle(text, first, sign, None)
         units = parse_units(unit_text)
         for meaning in meanings:

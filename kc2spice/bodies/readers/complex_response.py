@@ -37,6 +37,8 @@ from kc2spice.bodies.readers.column_kinds import (
 )
 from kc2spice.bodies.readers.column_titles import (
     Column,
+    ColumnTitleError,
+    MissingUnitError,
     convert_column,
     find_complex_quantity,
     is_frequency,
@@ -44,7 +46,7 @@ from kc2spice.bodies.readers.column_titles import (
 )
 from kc2spice.bodies.readers.text_table import MAX_HEADER_LENGTH, TextTable
 from kc2spice.core.equality import EqualByContent
-from kc2spice.core.errors import UsageError, list_candidates
+from kc2spice.core.errors import MAX_CANDIDATES, UsageError, list_candidates
 
 DEFAULT_REFERENCE = 50.0  # Ohm, reference resistance of S parameters if the file states none
 # Smallest number of frequencies of a response.
@@ -243,8 +245,8 @@ def combine_response(
             f"the table has {len(titles)} titles above {len(numbers)} columns of numbers"
         )
     columns = classify_columns(titles, numbers)
-    if set(columns.by_quantity) <= {"f"} and not columns.problems:
-        _require_two_value_columns(numbers, ", ".join(map(str.strip, titles)))
+    if set(columns.by_quantity) <= {"f"}:
+        _require_two_value_columns(numbers, ", ".join(map(str.strip, titles)), columns.unknown)
     _require_complete(titles, columns, shunt)
     frequency = _select_agreeing_column("f", columns.by_quantity["f"])
     f = frequency.values
@@ -320,8 +322,12 @@ def classify_columns(titles: Sequence[str], numbers: Sequence[np.ndarray]) -> Cl
     return result
 
 
-def _require_two_value_columns(numbers: Sequence[np.ndarray], header: str) -> None:
+def _require_two_value_columns(
+    numbers: Sequence[np.ndarray], header: str, unknown: Sequence[str] = ()
+) -> None:
     """Reject a table with a frequency and only one column of real values.
+
+    ``unknown`` are titles without a known meaning.
 
     Raises
     ------
@@ -329,10 +335,12 @@ def _require_two_value_columns(numbers: Sequence[np.ndarray], header: str) -> No
     """
     if len(numbers) == 2 and not any(map(np.iscomplexobj, numbers)):
         raise UsageError(
-            "this table contains only one column of values, and an impedance needs two",
-            got=f"2 columns: {header[:MAX_HEADER_LENGTH] or 'without titles'}",
+            "this table contains only one column of values beside the frequency, and an impedance "
+            f"needs two{_describe_unknown_columns(unknown)}",
+            got=f"2 columns in total: {header[:MAX_HEADER_LENGTH] or 'without titles'}",
             expected="a frequency and two columns of impedance, admittance or reflection",
-            hint="export the table again with a second column: the phase or the imaginary part",
+            hint="export the table again with a second column of values: the phase or "
+            "the imaginary part; " + NAME_COLUMNS_HINT,
         )
 
 
@@ -371,7 +379,7 @@ def _require_complete(
 def _make_incomplete_error(titles: Sequence[str], columns: ClassifiedColumns) -> Exception:
     """Make the error for columns that do not determine an impedance."""
     if columns.problems:
-        return columns.problems[0]
+        return _make_title_error(columns.problems, columns.unknown)
     for text in columns.unknown:
         meaning = UNSTATED_QUANTITIES.get("".join(text.lower().split()))
         if meaning is not None:
@@ -383,11 +391,40 @@ def _make_incomplete_error(titles: Sequence[str], columns: ClassifiedColumns) ->
     if {"f"} < set(columns.by_quantity) and not columns.unknown:
         raise _make_half_impedance_error(titles, columns)
     missing_quantity = "complete impedance" if "f" in columns.by_quantity else "frequency"
-    listed = ", ".join(map(repr, columns.unknown[:5]))
-    unknown_columns = f"; unknown columns: {listed}" if listed else ""
     names = ", ".join(titles[:5])
     names = names if len(names) <= MAX_TITLE_LENGTH else f"{names[:MAX_TITLE_LENGTH]}…"
-    return ValueError(f"the columns {names} contain no {missing_quantity}{unknown_columns}")
+    unknown = _describe_unknown_columns(columns.unknown)
+    return ValueError(f"the columns {names} contain no {missing_quantity}{unknown}")
+
+
+def _describe_unknown_columns(unknown: Sequence[str]) -> str:
+    """Describe the columns with unknown titles, for the end of an error message."""
+    listed = ", ".join(map(repr, unknown[:MAX_CANDIDATES]))
+    return f"; unknown columns: {listed}" if listed else ""
+
+
+def _make_title_error(problems: Sequence[ValueError], unknown: Sequence[str]) -> Exception:
+    """Make the error about titles; if several titles lack a unit, name all of them.
+
+    ``unknown`` are titles without a known meaning.
+    """
+    lacking = [item for item in problems if isinstance(item, MissingUnitError)]
+    if len(lacking) == len(problems) == 1 and unknown:
+        message = f"{lacking[0]}{_describe_unknown_columns(unknown)}"
+        return ColumnTitleError(message, NAME_COLUMNS_HINT)
+    if len(lacking) < 2 or len(lacking) < len(problems):
+        return problems[0]
+    units = " and ".join(dict.fromkeys(item.unit for item in lacking))
+    titles = "  and  ".join(item.corrected_title for item in lacking)
+    return UsageError(
+        "the titles of several columns need a unit, because a title without a unit does not "
+        "identify the quantity",
+        got=f"columns {', '.join(repr(item.title) for item in lacking[:MAX_CANDIDATES])}",
+        expected="; ".join(
+            f"{item.title}: {' or '.join(item.choices)}" for item in lacking[:MAX_CANDIDATES]
+        ),
+        hint=f"if the values are in {units}, write the titles  {titles}",
+    )
 
 
 def _make_half_impedance_error(titles: Sequence[str], columns: ClassifiedColumns) -> UsageError:

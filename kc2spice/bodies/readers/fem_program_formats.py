@@ -42,6 +42,7 @@ from scipy import sparse
 
 from kc2spice.bodies.readers import raw_matrices
 from kc2spice.core.optional_libraries import import_optional
+from kc2spice.core.other_file_formats import identify_mesh, make_other_format_error
 from kc2spice.rom.io import complete_triangle, parse_indices, parse_numbers
 
 LOSS_LETTER = "H"  # letter of the structural damping matrix H in the complex stiffness K + j H
@@ -427,7 +428,14 @@ def read_dmig(path: Path, requested: Mapping[str, str]) -> raw_matrices.RawMatri
     UsageError : the file is damaged, contains no DMIG cards, or contains rectangular matrices.
     """
     expected = "square DMIG cards"
-    forms, entries = raw_matrices.parse_file(path, expected, _parse_dmig)
+
+    def parse(data: bytes) -> tuple[dict[str, int], dict[str, raw_matrices.Triple]]:
+        """Parse the matrices of the file; reject a mesh without matrices."""
+        if (name := identify_mesh(data)) is not None and b"DMIG" not in data.upper():
+            raise make_other_format_error(path, name, "matrices", expected)
+        return _parse_dmig(data)
+
+    forms, entries = raw_matrices.parse_file(path, expected, parse)
     selected = choose_matrices(
         [n for n, f in forms.items() if f in (_SQUARE_FORM, _SYMMETRIC_FORM)], requested, path
     )

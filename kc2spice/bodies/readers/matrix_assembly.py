@@ -6,7 +6,6 @@ The TOML file is called *sidecar* in the code. :class:`Rows` contains the matric
 from __future__ import annotations
 
 import re
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from operator import attrgetter
@@ -35,6 +34,7 @@ from kc2spice.bodies.readers.sidecar import (
 )
 from kc2spice.core.domains import ACCELERATION, ELECTRICAL, ROTATION, TRANSLATION
 from kc2spice.core.errors import UsageError, wrong
+from kc2spice.core.user_warnings import warn_user
 from kc2spice.rom.io import complete_triangle
 from kc2spice.rom.linear_model import (
     LinearModel,
@@ -46,7 +46,8 @@ from kc2spice.rom.pencil import Matrix, find_largest_entry
 
 # largest rounding error of imaginary parts in rows of potentials, relative to the real parts
 IMAGINARY_ROUNDING = 1e-12
-# Largest difference of mirrored entries in a symmetric matrix, relative to the largest entry.
+# Largest difference of entries (i, j) and (j, i) of a symmetric matrix, relative to the largest
+# entry of the matrix.
 SYMMETRY_ROUNDING = 1e-9
 
 
@@ -67,26 +68,28 @@ def assemble_model(rows: LabelledMatrices) -> LinearModel:
 
 
 def _rename_damping_matrix(rows: LabelledMatrices) -> Mapping[str, Matrix]:
-    """Rename a damping matrix C to E, because C denotes the output matrix here.
+    """Rename a damping matrix C or D to E, because C denotes the output matrix here.
 
-    A square C beside M and K may be the damping matrix or the output matrix. An error is raised if
-    the TOML file does not state whether C is the damping matrix or the output matrix.
+    A square C beside M and K may be the damping matrix or the output matrix. A square D may be the
+    damping matrix or the feedthrough matrix. An error is raised if neither the TOML file nor a
+    matrix E states what the matrix means.
     """
     matrices, settings = rows.matrices, rows.sidecar
     C, K = matrices.get("C"), matrices.get("K")
-    if settings.damping_matrix == "C":
+    if (letter := settings.damping_matrix) != "E":
         where = f"{settings.file_path}: damping_matrix"
-        if C is None or not {"M", "K"} <= set(matrices) or "E" in matrices:
+        if not {"M", letter, "K"} <= set(matrices) or "E" in matrices:
             raise wrong(
                 where,
-                'damping_matrix = "C" does not fit the matrices of the model',
+                f'damping_matrix = "{letter}" does not fit the matrices of the model',
                 got=f"matrices {', '.join(sorted(matrices))}",
-                expected="matrices M, C and K, and no matrix E",
+                expected=f"matrices M, {letter} and K, and no matrix E",
                 hint="delete the key `damping_matrix`",
             )
         renamed = dict(matrices)
-        renamed["E"] = renamed.pop("C")
+        renamed["E"] = renamed.pop(letter)
         return renamed
+    _reject_ambiguous_feedthrough(rows)
     square = C is not None and K is not None and C.shape == K.shape
     if square and "M" in matrices and "E" not in matrices and settings.outputs is None:
         raise wrong(
@@ -99,18 +102,42 @@ def _rename_damping_matrix(rows: LabelledMatrices) -> Mapping[str, Matrix]:
                 "unknown is an output"
             ),
         )
-    if square and C.shape[0] ** 2 > MAX_NARROW_ENTRIES:  # type: ignore[union-attr]
-        raise wrong(
-            rows.where,
-            "the square matrix C is too large for an output matrix",
-            got=f"a matrix C of {K.shape[0]} rows and columns",  # type: ignore[union-attr]
-            expected=f"a matrix C of at most {MAX_NARROW_ENTRIES} entries",
-            hint=f'if C is the damping matrix, write  damping_matrix = "C"  into {rows.name}.toml',
-        )
+    for name, role in {"C": "an output matrix", "D": "a feedthrough matrix"}.items():
+        if name in matrices and np.prod(matrices[name].shape) > MAX_NARROW_ENTRIES:
+            raise wrong(
+                rows.where,
+                f"the square matrix {name} is too large for {role}",
+                got=f"a matrix {name} of {matrices[name].shape[0]} rows and columns",
+                expected=f"a matrix {name} of at most {MAX_NARROW_ENTRIES} entries",
+                hint=(
+                    f"leave out the matrix {name}, because E is the damping matrix"
+                    if "E" in matrices
+                    else 'if C is the damping matrix, replace  outputs = "C"  by  '
+                    f'damping_matrix = "C"  in {rows.name}.toml'
+                ),
+            )
     # With the key ``outputs``, a square C is the output matrix, and the damping matrix E is zero.
     if square and "M" in matrices and "E" not in matrices:
         return {**matrices, "E": sparse.csc_array(K.shape)}  # type: ignore[union-attr]
     return matrices
+
+
+def _reject_ambiguous_feedthrough(rows: LabelledMatrices) -> None:
+    """Reject a square matrix D beside M and K that may be meant as a damping matrix."""
+    D, K = rows.matrices.get("D"), rows.matrices.get("K")
+    if D is None or K is None or D.shape != K.shape or {"M", "E"} & set(rows.matrices) != {"M"}:
+        return
+    if find_largest_entry(D):
+        raise wrong(
+            rows.where,
+            "it is not stated whether matrix D is the damping matrix or the feedthrough matrix",
+            got=f"a square D of {K.shape[0]} rows beside M and K",
+            expected="a damping matrix with the name E, or matrices E and D",
+            hint=(
+                f'write damping_matrix = "D" into {rows.name}.toml, or add a zero matrix E if D '
+                "is the feedthrough matrix of an undamped model"
+            ),
+        )
 
 
 def _complete_matrices(rows: LabelledMatrices) -> Mapping[str, Matrix]:
@@ -155,7 +182,7 @@ def _complete_matrices(rows: LabelledMatrices) -> Mapping[str, Matrix]:
             rows.where,
             "the file contains only one triangle of a matrix, but its header states 'general'",
             got=f"one triangle of matrix {', '.join(halves)}",
-            expected="both triangles of the matrix",
+            expected="the upper and the lower triangle of the matrix",
             hint=(
                 f"write symmetric = true into {rows.name}.toml for symmetric matrices, or "
                 "symmetric = false for triangular matrices"
@@ -184,7 +211,7 @@ def _complete_matrices(rows: LabelledMatrices) -> Mapping[str, Matrix]:
 
 
 def _measure_asymmetry(matrix: Matrix) -> float:
-    """Return the largest difference of mirrored entries, relative to the largest entry."""
+    """Return the largest difference of entries (i, j) and (j, i), over the largest entry."""
     return find_largest_entry(matrix - matrix.T) / (find_largest_entry(matrix) or 1.0)
 
 
@@ -201,12 +228,11 @@ def _warn_of_asymmetry(rows: LabelledMatrices, matrices: Mapping[str, Matrix]) -
         return
     for letter in "MK":
         if (size := _measure_asymmetry(matrices[letter])) > SYMMETRY_ROUNDING:
-            warnings.warn(
-                f"{rows.where}: matrix {letter} is not symmetric: mirrored entries differ by up to "
-                f"{100 * size:.2g} % of the largest entry, so the body can create energy: export "
-                f"{letter} again, or write  symmetric = false  into {rows.name}.toml if {letter} "
-                "is correct",
-                stacklevel=2,
+            warn_user(
+                f"{rows.where}: matrix {letter} is not symmetric: entries (i, j) and (j, i) differ "
+                f"by up to {100 * size:.2g} % of the largest entry, so the body can generate "
+                f"energy: export {letter} again, or write  symmetric = false  into "
+                f"{rows.name}.toml if {letter} is correct"
             )
 
 

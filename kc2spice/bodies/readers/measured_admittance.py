@@ -46,10 +46,17 @@ from kc2spice.bodies.readers.raw_matrices import (
     make_unusable_file_error,
     read_vectors,
 )
-from kc2spice.bodies.readers.text_table import TextTable, read_tables
+from kc2spice.bodies.readers.text_table import ShortTableError, TextTable, read_tables
 from kc2spice.bodies.readers.touchstone import parse_touchstone
 from kc2spice.core.equality import EqualByContent
-from kc2spice.core.errors import UsageError, wrong
+from kc2spice.core.errors import UsageError, join_first, wrong
+from kc2spice.core.other_file_formats import (
+    identify_binary_format,
+    identify_format,
+    identify_mesh,
+    make_other_format_error,
+    read_head,
+)
 from kc2spice.core.quantities import convert_quantity as parse_quantity
 from kc2spice.core.untrusted_files import read_bounded
 from kc2spice.rom.linear_model import Norm
@@ -196,9 +203,15 @@ def read_measured(path: Path, shunt: float | None = None) -> MeasuredAdmittance:
     if match:
         expected = "a Touchstone file with S, Y or Z parameters in RI, MA or DB"
         advice = "export the file again as Touchstone"
+    elif path.suffix.lower() == ".mat":
+        advice = "save vectors with names such as  frequency_hz, real_ohm, imag_ohm"
 
     if not is_file(path):
         raise make_missing_error(path, expected, () if match else TABLE_SUFFIXES)
+
+    head = read_head(path)
+    if (name := identify_binary_format(head, path.suffix) or identify_mesh(head)) is not None:
+        raise make_other_format_error(path, name, "measurement", expected)
 
     def read() -> MeasuredResponse:
         """Read the response with the parser of the file's format."""
@@ -208,7 +221,13 @@ def read_measured(path: Path, shunt: float | None = None) -> MeasuredAdmittance:
             text = _read_text(path)
             _reject_shunt(shunt, "a Touchstone file")
             return parse_touchstone(text, int(match[2] or 0))
-        return find_response(load_tables(path), shunt, path.suffix.lower())
+        try:
+            tables = load_tables(path)
+        except ShortTableError:
+            if (name := identify_format(head, path.suffix)) is None:
+                raise
+            raise make_other_format_error(path, name, "measurement", expected) from None
+        return find_response(tables, shunt, path.suffix.lower())
 
     with np.errstate(all="ignore"):  # values that are not finite are rejected later
         response = call_reader(path, expected, read, advice)
@@ -394,7 +413,8 @@ def _read_matlab(variables: dict[str, np.ndarray], shunt: float | None) -> Measu
     """
     first = next(filter(is_frequency, variables), None)
     if first is None:
-        raise ValueError(f"no variable is the frequency; the variables are {', '.join(variables)}")
+        listed = join_first(list(variables)) or "no numbers of a measurement"
+        raise ValueError(f"no variable is the frequency; the file contains {listed}")
     n, names = variables[first].size, ", ".join(variables)
     columns = {
         name: a.ravel() for name, a in variables.items() if a.size == n and a.dtype.kind in "fiu"

@@ -25,8 +25,8 @@ from __future__ import annotations
 import re
 import zipfile
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeAlias, TypeVar
 
@@ -200,7 +200,7 @@ def require_size(path: Path, letter: str, shape: tuple[int, ...], entries: int |
         raise make_unusable_file_error(path, what, "2 dimensions", hint)
     if max(shape) > MAX_ROWS or min(shape) < 0:
         raise make_unusable_file_error(path, what, f"at most {MAX_ROWS} rows and columns")
-    square = letter == "C" and shape[0] == shape[1]  # the damping matrix is often named C
+    square = letter in "CD" and shape[0] == shape[1]  # the damping matrix is often named C or D
     if letter in NARROW_MATRICES and not square and shape[0] * shape[1] > MAX_NARROW_ENTRIES:
         raise make_unusable_file_error(
             path,
@@ -218,8 +218,8 @@ def require_size(path: Path, letter: str, shape: tuple[int, ...], entries: int |
 def require_matrix(matrix: Any, letter: str, path: Path) -> Matrix:
     """Convert a matrix to double precision, and raise an error if it is invalid.
 
-    B, C and D become dense arrays, and all other matrices sparse csc arrays. Only the stiffness
-    matrix K may be complex.
+    B, C and D become dense arrays of at most :data:`MAX_NARROW_ENTRIES` entries, and all other
+    matrices become sparse csc arrays. Only the stiffness matrix K may be complex.
 
     Raises
     ------
@@ -246,7 +246,8 @@ def require_matrix(matrix: Any, letter: str, path: Path) -> Matrix:
         raise make_unusable_file_error(
             path, f"matrix {letter} contains NaN or infinity", "finite numbers"
         )
-    if letter in NARROW_MATRICES:
+    # a larger square C or D can only be a damping matrix, and stays sparse
+    if letter in NARROW_MATRICES and matrix.shape[0] * matrix.shape[1] <= MAX_NARROW_ENTRIES:
         plain = matrix.toarray() if sparse.issparse(matrix) else matrix
         return np.asarray(plain, dtype=float)
     matrix = sparse.csc_array(matrix, dtype=complex if data.dtype.kind == "c" else float)
@@ -304,12 +305,14 @@ class RawMatrices:
     dofs : node and degree of freedom of each row, or None if the files do not contain them
     fixed : indices of the rows that the exporting program fixed
     files : path of the file of each matrix, keyed by letter, if the matrices are in separate files
+    unknown : shapes of the arrays in the file that have an unknown name, keyed by name
     """
 
     matrices: Mapping[str, Matrix]
     dofs: Dofs | None = None
     fixed: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     files: Mapping[str, Path] = field(default_factory=dict)
+    unknown: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
 
 
 def encode_entry_positions(table: np.ndarray) -> Triple:
@@ -356,6 +359,7 @@ def complete_triangles(matrix: sparse.csc_array) -> sparse.csc_array:
 
 
 _ROW_LABELS = ("nodes", "dofs")  # names of the arrays that identify the rows
+_UNKNOWN = "unknown"  # prefix of the arrays that contain the shapes of unknown matrices
 # Permitted CPU time of a separate process: a fixed time [s], plus file size / data rate [bytes/s].
 _CPU_LIMITS = 8, 1_000_000
 # permitted memory [bytes] of a separate process, in addition to the content of the file
@@ -378,9 +382,8 @@ def read_matrix_archive(path: Path, requested: Mapping[str, str]) -> RawMatrices
     UsageError, ValueError : the file is missing, damaged or too large, contains Python objects, or
         lacks a part of a sparse matrix.
     """
-    letters = {name: letter for letter, name in requested.items()}
-    plain = set(LETTERS) - requested.keys()
-    known = {*plain, *letters, *_ROW_LABELS}
+    sources = _locate_matrices(requested, path)
+    known = {*sources.values(), *_ROW_LABELS}
 
     def is_known(name: str) -> bool:
         """Return whether an array in the archive belongs to a matrix with a known name."""
@@ -393,17 +396,80 @@ def read_matrix_archive(path: Path, requested: Mapping[str, str]) -> RawMatrices
     arrays = untrusted_files.read_archive(
         path, is_known, entries=get_size_limit, total=limit_unpacked_bytes(path)
     )
-    for name in letters:
-        if not any(key.partition(".")[0] == name for key in arrays):
-            contained = ", ".join(_list_member_names(path))
-            raise ValueError(f"the file contains no matrix {name}, only {contained}")
-    if not any(key.partition(".")[0] in {*plain, *letters} for key in arrays):
+    present = {key.partition(".")[0] for key in arrays}
+    _require_names(requested, present, _list_member_names(path), path)
+    if not present & {*sources.values()}:
         raise _make_unknown_names_error(path)
-    result = {}
+    targets = defaultdict(list, {name: [name] for name in _ROW_LABELS})
+    for letter, name in sources.items():
+        targets[name].append(letter)
+    result: dict[str, np.ndarray] = {}
     for key, array in arrays.items():
         name, dot, part = key.partition(".")
-        result[f"{letters.get(name, name)}{dot}{part}"] = array
-    return _unpack_raw(result, path)
+        result |= {f"{target}{dot}{part}": array for target in targets[name]}
+    return replace(_unpack_raw(result, path), unknown=_list_unknown_shapes(path, known))
+
+
+def _list_unknown_shapes(path: Path, known: Collection[str]) -> dict[str, tuple[int, ...]]:
+    """Return the shapes of the matrices in an ``.npz`` archive whose name is not known.
+
+    The shape of a sparse matrix is the content of one of its arrays, such as ``G.shape``.
+    """
+    shapes = untrusted_files.read_shapes(path)
+    result = {}
+    for key, shape in shapes.items():
+        name, _, part = key.partition(".")
+        if name in known or name in LETTERS:
+            continue
+        if not part:
+            result[name] = shape
+        elif part == "shape" and shape == (2,):
+            rows, columns = untrusted_files.read_archive(
+                path, key.__eq__, entries=lambda _: 2, total=limit_unpacked_bytes(path)
+            )[key]
+            result[name] = int(rows), int(columns)
+    return result
+
+
+def _locate_matrices(requested: Mapping[str, str], path: Path) -> dict[str, str]:
+    """Return the name of each matrix inside a file, keyed by letter.
+
+    ``requested`` contains the names of the matrices whose name is not the letter.
+
+    Raises
+    ------
+    UsageError : ``requested`` contains the letter H, which only Nastran files may contain.
+    """
+    if "H" in requested:
+        raise UsageError(
+            "the matrix H of structural damping is read only from OP4 and punch files",
+            where=str(path),
+            got=f'matrices = {{ H = "{requested["H"]}" }}',
+            expected=f"the letters {', '.join(LETTERS)}",
+            hint="save the complex matrix K + 1j * H as K, and delete H from `matrices`",
+        )
+    return {letter: requested.get(letter, letter) for letter in LETTERS}
+
+
+def _require_names(
+    requested: Mapping[str, str], present: Collection[str], contained: Collection[str], path: Path
+) -> None:
+    """Reject a requested name that belongs to no matrix of the file.
+
+    Raises
+    ------
+    UsageError : a name in ``requested`` is not in ``present``.
+    """
+    for name in requested.values():
+        if name not in present:
+            listed = [item for item in contained if item not in _ROW_LABELS]
+            raise UsageError(
+                f"the file contains no matrix {name}",
+                where=str(path),
+                got=name,
+                expected=f"one of {', '.join(listed[:5])}" if listed else "a file with matrices",
+                hint="correct this name in the TOML file, or add the matrix to the file",
+            )
 
 
 def _make_unknown_names_error(path: Path) -> UsageError:
@@ -486,7 +552,10 @@ def _unpack_raw(arrays: Mapping[str, np.ndarray], path: Path) -> RawMatrices:
         elif parts[letter]:
             result[letter] = _unpack_sparse(path, letter, parts[letter])
     return RawMatrices(
-        result, _unpack_dofs(arrays), arrays.get("fixed", np.empty(0, dtype=np.int64))
+        result,
+        _unpack_dofs(arrays),
+        arrays.get("fixed", np.empty(0, dtype=np.int64)),
+        unknown={name: tuple(map(int, shape)) for name, shape in parts[_UNKNOWN].items()},
     )
 
 
@@ -519,17 +588,22 @@ def _unpack_dofs(arrays: Mapping[str, np.ndarray]) -> Dofs | None:
 def unpack_matlab(path: str, requested: dict[str, str]) -> dict[str, np.ndarray]:
     """Return the matrices in a MATLAB file as arrays for an ``.npz`` archive.
 
-    The argument ``requested`` has no effect.
+    ``requested`` maps matrix letters, such as K, to the names of variables in the file, for
+    matrices whose name is not the letter. The shapes of the other numeric variables are also
+    returned.
 
     Raises
     ------
+    UsageError : the file does not contain a requested variable.
     ValueError, NotImplementedError : the file is damaged, or does not contain matrices.
     """
-    names = (*LETTERS, *_ROW_LABELS)
+    sources = _locate_matrices(requested, Path(path)) | {name: name for name in _ROW_LABELS}
     kinds = _list_variables(path)
-    plain = list(filter(kinds.__contains__, names))
+    _require_names(requested, kinds, kinds, Path(path))
+    plain = list(filter(kinds.__contains__, dict.fromkeys(sources.values())))
     structs = [name for name, (_, kind) in kinds.items() if kind == "struct"]
-    if not set(plain) & set(LETTERS) and len(structs) == 1:
+    parts: dict[str, np.ndarray] = {}
+    if not set(plain) - set(_ROW_LABELS) and len(structs) == 1:
         result = _select_fields(
             io.loadmat(path, appendmat=False, variable_names=structs)[structs[0]], structs[0]
         )
@@ -538,9 +612,13 @@ def unpack_matlab(path: str, requested: dict[str, str]) -> dict[str, np.ndarray]
             if kinds[name][1] in (*_NON_NUMERIC_CLASSES, "struct"):
                 raise ValueError(f"variable {name} is a {kinds[name][1]}, not a numeric matrix")
         full = [kinds[name][0] for name in plain if kinds[name][1] != "sparse"]
-        result = _load_variables(path, plain, full)
-    parts: dict[str, np.ndarray] = {}
-    for name in names:
+        loaded = _load_variables(path, plain, full)
+        result = {key: loaded[name] for key, name in sources.items() if name in loaded}
+        for name, (shape, kind) in kinds.items():
+            numeric = kind not in (*_NON_NUMERIC_CLASSES, "struct")
+            if numeric and name not in {*sources, *sources.values()}:
+                parts[f"{_UNKNOWN}.{name}"] = np.array(shape)
+    for name in sources:
         if name in result:
             parts |= pack_matrix(name, _convert_matlab_matrix(name, result[name]))
     return parts

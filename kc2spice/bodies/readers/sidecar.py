@@ -8,8 +8,8 @@
     symmetric = true              # a 'general' matrix with only one triangle is symmetric
                                   # (false: the matrix is triangular)
     files = { K = "a.mtx", M = "b.mtx" }      # files with names other than NAME.K, NAME_K.mtx
-    matrices = { K = "KAAX", M = "MAAX" }     # names of the matrices in an OP4 or punch file
-    damping_matrix = "C"          # a square C beside M and K is the damping matrix; or
+    matrices = { K = "KAAX", M = "MAAX" }     # names in a .mat, .npz, OP4 or punch file
+    damping_matrix = "C"          # a square C beside M and K is the damping matrix (or "D"); or
                                   # outputs = "C": C is the output matrix, one row per output
     mesh = "job.inp"              # file of node coordinates and node sets: .inp, .bdf, .cdb, or
                                   # .csv with node,x,y,z
@@ -461,7 +461,7 @@ class Sidecar(Section):
     matrices: Mapping[Inner, Name] = Field(default_factory=dict)
     mesh: File | None = None
     dofs: File | None = None
-    damping_matrix: Literal["C", "E"] = "E"
+    damping_matrix: Literal["C", "D", "E"] = "E"
     outputs: Literal["C"] | None = None
     length: Literal["m", "cm", "mm", "um", "in", "ft"] = "m"
     force: Literal["N", "mN", "uN", "kN", "lbf"] = "N"

@@ -123,10 +123,10 @@ def _find_transient(table: TextTable, path: Path) -> ThermalTransient:
         raise ValueError(
             f"the columns {names} contain neither a temperature nor a thermal impedance Zth"
         )
-    for label, found in (("time columns", times), ("columns of a thermal transient", values)):
-        if any(not np.array_equal(found[0].values, other.values) for other in found[1:]):
+    for label, columns in (("time columns", times), ("columns of a thermal transient", values)):
+        if any(not np.array_equal(columns[0].values, other.values) for other in columns[1:]):
             raise make_ambiguity_error(
-                f"{len(found)} {label}", list(map(str, found)), ONE_PART_HINT
+                f"{len(columns)} {label}", list(map(str, columns)), ONE_PART_HINT
             )
     time, value = times[0], values[0]
     order = np.argsort(time.values, kind="stable")

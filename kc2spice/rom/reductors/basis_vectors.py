@@ -6,11 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from kc2spice.core.errors import UsageError
+from kc2spice.core.errors import UsageError, join_first
 
 # Largest distance of a dependent unit vector from the span of earlier vectors, about 450 eps. The
 # rounding errors in a QR factorisation of a few hundred vectors are about 1e-14.
 DEPENDENT_BY_ROUNDING = 1e-13
+# Several adjacent dependent columns form one group. If the number of groups is at most
+# MAX_LISTED_GROUPS, an error proposes to delete the dependent columns.
+MAX_LISTED_GROUPS = 10
 # A basis V whose condition number exceeds MAX_CONDITION is orthonormalised.
 # V'KV is the reduced stiffness matrix. The relative rounding error of the smallest eigenvalue of
 # V'KV is eps = 2.2e-16 times the squared condition number of V. If the condition number of V is at
@@ -60,15 +63,21 @@ def require_vectors(value: Any, where: str, shape: tuple[int, int | None]) -> np
             got=f"{count} entries that are NaN or infinite",
             expected="finite numbers",
         )
-    dependent = _find_dependent_column(V)
-    if dependent is not None:
+    if _has_dependent_columns(V):
+        groups = _list_dependent_columns(V)
+        listed = [str(low) if low == high else f"{low} to {high}" for low, high in groups]
+        one = len(groups) == 1 and groups[0][0] == groups[0][1]
+        slices = [str(low) if low == high else f"{low}:{high + 1}" for low, high in groups]
         raise UsageError(
             "the vectors are linearly dependent",
             where=where,
-            got=f"column {dependent} of {V.shape[1]} is zero or a combination of the columns "
-            f"before it",
+            got=f"column{'' if one else 's'} {join_first(listed)} of {V.shape[1]} "
+            f"{'is zero or a combination' if one else 'are zero or combinations'} of the columns "
+            "before (the first column is column 0)",
             expected=f"linearly independent columns, at most {rows}",
-            hint="remove this column (the first column is column 0)",
+            hint=f"write V = np.delete(V, np.r_[{', '.join(slices)}], axis=1)"
+            if len(groups) <= MAX_LISTED_GROUPS
+            else "write V = scipy.linalg.orth(V)",
         )
     return V
 
@@ -145,14 +154,35 @@ def _require_real_matrix(value: Any, where: str, rows: int) -> np.ndarray:
     return V.astype(float)
 
 
-def _find_dependent_column(V: np.ndarray) -> int | None:
-    """Return the index of the first linearly dependent column, or None."""
+def _has_dependent_columns(V: np.ndarray) -> bool:
+    """Return whether a column of a matrix is a combination of the columns before it."""
     norms = np.linalg.norm(V, axis=0)
     distance = np.zeros(V.shape[1])
     diagonal = np.abs(np.diag(np.linalg.qr(V / np.where(norms > 0, norms, 1.0), mode="r")))
     distance[: diagonal.size] = diagonal
-    dependent = np.flatnonzero(distance <= DEPENDENT_BY_ROUNDING)
-    return int(dependent[0]) if dependent.size else None
+    return bool((distance <= DEPENDENT_BY_ROUNDING).any())
+
+
+def _list_dependent_columns(V: np.ndarray) -> list[tuple[int, int]]:
+    """Return the first and last index of each group of linearly dependent columns.
+
+    The independent columns of V have the same span as V.
+
+    >>> _list_dependent_columns(np.array([[1.0, 2.0, 3.0, 0.0, 1.0], [0.0, 0.0, 0.0, 1.0, 1.0]]))
+    [(1, 2), (4, 4)]
+    """
+    basis, groups = np.empty((len(V), 0)), list[tuple[int, int]]()
+    for k, column in enumerate(V.T):
+        rest = column / (np.linalg.norm(column) or 1.0)
+        for _ in range(2):  # the second pass removes rounding errors of the first
+            rest = rest - basis @ (basis.T @ rest)
+        if (distance := np.linalg.norm(rest)) > DEPENDENT_BY_ROUNDING:
+            basis = np.column_stack([basis, rest / distance])
+        elif groups and groups[-1][1] == k - 1:
+            groups[-1] = groups[-1][0], k
+        else:
+            groups.append((k, k))
+    return groups
 
 
 def _describe_size(V: np.ndarray) -> str:

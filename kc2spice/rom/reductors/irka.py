@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
+from kc2spice.core.user_warnings import warn_user
 from kc2spice.rom.pencil import Pencil, make_explicit_pencil
 from kc2spice.rom.reduced_basis import ReducedBasis, ReductionTask
 from kc2spice.rom.reductors.balanced_truncation import (
@@ -137,11 +137,10 @@ class OptimalModels(ReducedBasis):
             former = poles
             reduced = interpolate_response(full, mirror_poles(poles), left, right)
         else:
-            warnings.warn(
-                f"IRKA of order {order} has not converged: the last iteration changed its poles "
-                f"by a fraction of {change:.1e}; the model is not optimal, but the error "
-                f"estimate is valid",
-                stacklevel=2,
+            warn_user(
+                f"IRKA of order {order} has not converged: the relative change of its poles in "
+                f"the last iteration was {change:.1e}; the model is not optimal, but the error "
+                f"estimate is valid"
             )
         return self.task.restore_units_and_rigid_modes(reduced)
 

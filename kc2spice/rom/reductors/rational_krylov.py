@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -10,6 +9,7 @@ import numpy as np
 
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.progress import ConvergenceTimer
+from kc2spice.core.user_warnings import warn_user
 from kc2spice.rom.intermediate_model import IntermediateModel, make_no_convergence_error
 from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.reduced_basis import ReducedBasis, ReductionTask
@@ -143,11 +143,10 @@ def reduce_by_rational_krylov(
         if search.points == MANY_POINTS + 1 and pencil.size >= LARGE_UNKNOWNS:
             modes = search.response.select_band_resonances(band)[0].size
             advice = "use a narrower band, a larger tolerance or proportional damping"
-            warnings.warn(
-                f"the reduction takes more than {MANY_POINTS} factorisations for at least {modes} "
-                f"resonances in the band; the present error is {error:.0e}, the target "
-                f"{target:.0e}; {advice}",
-                stacklevel=2,
+            warn_user(
+                f"the reduction needs more than {MANY_POINTS} factorisations for at least {modes} "
+                f"resonances in the band; the current error is {error:.0e}, the target "
+                f"{target:.0e}; {advice}"
             )
         # Errors that were computed before an extension of the basis no longer apply.
         # A frequency close to an earlier expansion point does not extend the basis.

@@ -9,7 +9,7 @@ from functools import cache
 
 import numpy as np
 
-from kc2spice.core.errors import UsageError, unknown
+from kc2spice.core.errors import UsageError, did_you_mean, unknown
 from kc2spice.core.plugins import list_entry_points, load_plugin, make_built_in_name_error
 from kc2spice.rom.reduced_basis import ReductionTask
 from kc2spice.rom.reductors.balanced_truncation import BalancedTruncation
@@ -41,8 +41,7 @@ def register_reductor(reductor: Reductor) -> Reductor:
     """Register a reduction method for the argument ``method`` of ``kc2spice.reduce``.
 
     The new method replaces an earlier method of the same name, except a built-in method. Without
-    the argument ``method``, :func:`kc2spice.reduce` tries only built-in methods: response POD and
-    the variants of balanced truncation.
+    the argument ``method``, :func:`kc2spice.reduce` tries only built-in methods.
 
     Parameters
     ----------
@@ -122,16 +121,26 @@ def list_reductor_names() -> list[str]:
     return list(_reductors)
 
 
-def require_method_name(name: str, where: str, advice: str) -> None:
+def require_method_name(name: str, where: str, advice: str, advice_for_own_method: str) -> None:
     """Raise UsageError if no reduction method has the given name.
 
     ``where`` is the argument or option that contains the name. ``advice`` is the hint for the user
-    if no registered name is similar.
+    if no registered name is similar. Every hint ends with ``advice_for_own_method``, even if a
+    registered name is similar. The unknown name may belong to a user's own method that is not yet
+    registered.
     """
     if name not in _reductors and name not in list_reductor_names():
-        raise unknown(
-            "this reduction method does not exist", name, _reductors, where, advice=advice
+        error = unknown(
+            "this reduction method does not exist",
+            name,
+            _reductors,
+            where,
+            command="kc2spice reduce MODEL --method compare",
         )
+        proposed = did_you_mean(name, list(_reductors))
+        begin = f"{proposed} For" if proposed else f"{advice}; for"
+        error.hint = f"{begin} your own method, {advice_for_own_method}"
+        raise error
 
 
 def find_reductor(method: str | Reductor) -> Reductor:
@@ -144,9 +153,7 @@ def find_reductor(method: str | Reductor) -> Reductor:
     """
     if not isinstance(method, str):
         return _require_reductor(method, "method")
-    require_method_name(
-        method, "method", "leave out method, or register your own with kc.register_reductor first"
-    )
+    require_method_name(method, "method", "leave out method", "call kc.register_reductor first")
     return _reductors[method]
 
 

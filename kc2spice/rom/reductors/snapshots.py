@@ -14,6 +14,7 @@ import numpy as np
 from kc2spice.rom.error_estimate import ErrorEstimator
 from kc2spice.rom.linear_model import LinearModel, Norm
 from kc2spice.rom.response import Response, make_frequency_grid, sample_resonances
+from kc2spice.rom.transfer_function_error_scales import get_min_relative_divisor
 
 # Number of points in the linear grid and in the logarithmic grid over the band.
 # The grids sample the response between resonances. Each resonance has additional snapshots.
@@ -32,9 +33,6 @@ TAIL_WEIGHTS = 4e-3, 5e-2
 # Ratio of the weight just above the band to the square root of the tolerance.
 # The square root is used because the fit minimises squared errors.
 TAIL_PER_ROOT = 120.0
-# Errors of a response entry are divided by at least this fraction of the entry's peak.
-# The fractions MIN_REFERENCE_SHARE are keyed by norm.
-MIN_REFERENCE_SHARE = {"pointwise": 1e-6, "peak": 1.0}
 
 
 class SnapshotFrequencies(NamedTuple):
@@ -108,7 +106,7 @@ def weight_states(
     pencil = response.pencil
     H = pencil.C @ x + pencil.D
     if pencil.is_symmetric and pencil.is_collocated:
-        least = MIN_REFERENCE_SHARE[norm] * np.abs(np.einsum("fii->fi", H)).max(axis=0)
+        least = get_min_relative_divisor(norm) * np.abs(np.einsum("fii->fi", H)).max(axis=0)
         size = np.sqrt(np.maximum(np.abs(np.einsum("fii->fi", complete)), least))
     else:
         size = _compute_state_norms(x, H, complete, norm)
