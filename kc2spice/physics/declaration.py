@@ -291,11 +291,13 @@ class Declaration:
     keyed by the name of the displacement. Only forces at the pins and a constant weight may act on
     the mass. ``forces`` contains dissipative forces as functions of coordinates and rates, keyed by
     the name of the displacement. ``limits`` maps the description of a limit to an expression that
-    must stay above zero. ``stops`` maps the description of a stop to an expression that is above
-    zero during contact. ``neglected`` contains the name, the reason and the size of each neglected
-    effect. ``validity`` describes the range in which the equations hold. By default, ``validity``
-    states that the temperature is constant. For a part with heat pins, the default of ``validity``
-    states that keys do not depend on temperature.
+    must stay above zero. ``remedies`` contains the action for a violated limit, keyed by the
+    description of the limit; ``PART`` represents the name of the part. ``stops`` maps the
+    description of a stop to an expression that is above zero during contact. ``neglected`` contains
+    the name, the reason and the size of each neglected effect. ``validity`` describes the range in
+    which the equations hold. By default, ``validity`` states that the temperature is constant. For
+    a part with heat pins, the default of ``validity`` states that keys do not depend on
+    temperature.
 
     ``conductors`` contains the names of current or voltage branches whose resistance depends on the
     temperature of the heat pin. ``temperature_coefficient`` [1/K] is the rise of the resistance per
@@ -340,6 +342,7 @@ class Declaration:
     signals: Mapping[str, str] = field(default_factory=dict)
     tables: tuple[str, ...] = ()
     limits: Mapping[str, str] = field(default_factory=dict)
+    remedies: Mapping[str, str] = field(default_factory=dict)
     stops: Mapping[str, str] = field(default_factory=dict)
     neglected: tuple[tuple[str, str, str], ...] = ()
     conductors: tuple[str, ...] = ()

@@ -24,6 +24,12 @@ from kc2spice.netlist.number_and_name_spelling import (
     require_distinct,
 )
 from kc2spice.netlist.number_and_name_spelling import require_name as checked
+from kc2spice.netlist.shared_cards import (
+    STOP_COMMENT,
+    attach_comments,
+    list_range_conditions,
+    write_condition_stops,
+)
 from kc2spice.netlist.subcircuit_library import Subcircuit
 from kc2spice.physics.conductors import (
     get_temperature_coefficient,
@@ -345,7 +351,8 @@ def _check_limits(
             value = float(
                 np.min(evaluate_tree(tree, d.compute_parameter_values(part.keys) | known))
             )
-            advice = f"{d.limits[what]} must stay above zero"
+            remedy = d.remedies.get(what) or f"change a key so that {d.limits[what]} > 0"
+            advice = remedy.replace("PART", part.name)
             beyond = max(-value, 0.0)
             name = f"{what} of {part.name}{where}"
             label = f"{name.removeprefix('the ')}, amount below zero"
@@ -482,6 +489,9 @@ def make_declared_subcircuit(
     words |= {"heat": HEAT_PINS} if d.heated else {}
     head = write_part_header(header, f"{name}: {d.title}", pins, params, sign=d.sign, **words)
     items = (*write_subcircuit_items(d, noise, tables), *more)
+    if conditions := list_range_conditions(d.given):
+        stops = attach_comments((STOP_COMMENT, *write_condition_stops(conditions, ends[0])))
+        items = (*items, *stops)
     circuit = Circuit(name, ends, format_parameter_defaults(params), items, notes=head)
     title = format_comment(f"{name}: {d.title}")
     tree = Circuit(items=(circuit,))

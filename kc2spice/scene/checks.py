@@ -25,12 +25,15 @@ class Metric:
 
     The unit of a pure number is ``""``. The name of a metric does not determine its unit, because
     the author of a part may choose the name freely. If ``warning`` is set, the summary of a run
-    prints the text ``warning`` as a warning in place of the metric.
+    prints the text ``warning`` as a warning in place of the metric. If the value lies between two
+    points of a sweep, ``resolution`` is half of the distance of these points, with the unit of the
+    metric.
     """
 
     value: Any
     unit: str = ""
     warning: str = ""
+    resolution: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -105,7 +108,7 @@ class Check:
     def violation(self) -> str:
         """Text of the warning that a violation of the check causes."""
         value, limit = format_value_and_limit(self.value, self.limit, remove_unit_words(self.unit))
-        return f"check {self.printed_label}: {value}, limit {limit}: {self.advice}"
+        return f"failed check: {self.printed_label}: {value}, limit {limit}: {self.advice}"
 
     def make_record(self) -> dict[str, object]:
         """Return the check as an entry of ``result.json``."""

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-import warnings
-from collections.abc import Iterator
+import re
+import shlex
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import chain
 from math import inf
 from operator import attrgetter
@@ -12,8 +13,10 @@ from operator import attrgetter
 from kc2spice.core.errors import UsageError, list_candidates
 from kc2spice.core.probe_values import make_outside_error
 from kc2spice.core.quantities import USUAL_GRAVITY, convert_quantity
-from kc2spice.core.schemas import find_unit
+from kc2spice.core.schemas import KeyPath, find_unit, join_path
 from kc2spice.core.si_prefix_format import format_quantity
+from kc2spice.core.toml_text import format_toml
+from kc2spice.core.user_warnings import warn_user
 from kc2spice.core.waveforms import Waveform
 from kc2spice.scene.part_method_calls import PERIOD_TOLERANCE
 from kc2spice.scene.plausibility import (
@@ -26,6 +29,14 @@ from kc2spice.scene.scene_classes import Scene
 from kc2spice.scene.settings import ANALYSIS_UNITS, Analysis, ProbeKeys
 
 MAX_TIME_POINTS = 1e7  # largest number of time points in a transient
+# duration of a transient that an error message proposes, divided by the largest time step
+USUAL_STEPS = 1000
+# A frequency in mHz probably means MHz if analysis.stop is at least MILLIHERTZ_RATIO times as high.
+MILLIHERTZ_RATIO = 1e6
+# A frequency in mHz also probably means MHz if a transient contains at most
+# SMALLEST_PERIOD_SHARE of its period, so that a sine of this frequency is nearly constant.
+SMALLEST_PERIOD_SHARE = 1e-3
+_MILLIHERTZ = re.compile(r"\s*(\d+\.?\d*(?:[eE][+-]?\d+)?)\s*mHz\s*")
 # keys of ``solver`` that only a transient uses
 TRANSIENT_SOLVER_KEYS = ("stop", "max_step", "trtol", "method", "ringing")
 # smallest frequency step that a simulator resolves, relative to the last frequency
@@ -39,16 +50,16 @@ def check_scene(scene: Scene) -> Iterator[UsageError]:
             "the scene has no parts",
             where="",
             expected="at least one table with part = TYPE",
-            hint="copy the scene of docs/tutorials/first_buzzer.md, or the example of a part that  "
-            "kc2spice scenes --part disc  prints",
+            hint="begin with a built-in scene:  kc2spice scenes buzzer_square > my.toml",
         )
         return
     yield from _check_parts(scene)
     _warn_of_gravity(scene)
+    _warn_of_millihertz(scene)
     _warn_of_late_waveforms(scene)
     yield from _check_includes(scene)
     yield from _check_largest_step(scene)
-    yield from _check_unused_keys(scene.analysis)
+    yield from _check_unused_keys(scene)
     _warn_of_unused_solver_keys(scene)
     yield from _check_sweep_keys(scene)
     yield from _check_frequencies(scene)
@@ -76,18 +87,56 @@ def _check_parts(scene: Scene) -> Iterator[UsageError]:
 
 
 def _warn_of_gravity(scene: Scene) -> None:
-    """Warn about a stated gravity that acts on no part."""
+    """Warn about a stated gravity that acts on no part, or that acts upwards."""
     if "gravity" not in scene.frame.model_fields_set or not scene.gravity:
         return
     if any(part.type.has_weight(part) for part in scene.parts.values()):
+        if scene.gravity < 0:
+            warn_user(
+                f"gravity: {scene.gravity:g} m/s2 acts upwards, because the key `gravity` is "
+                "positive downwards: delete the minus sign if the weight acts downwards"
+            )
         return
     massive = (name for name, part in scene.parts.items() if hasattr(part.keys, "weight"))
     name = next(massive, None)
     action = f"write  weight = true  in [{name}]" if name else "delete the key"
-    warnings.warn(
-        f"the key `gravity` has no effect, because it acts on no part of this scene: {action}",
-        stacklevel=2,
+    warn_user(
+        f"the key `gravity` has no effect, because it acts on no part of this scene: {action}"
     )
+
+
+def _warn_of_millihertz(scene: Scene) -> None:
+    """Warn about each frequency in mHz that is far below the frequencies of the run.
+
+    The prefix m (milli) may be a misspelling of the prefix M (mega).
+    """
+    analysis, duration = scene.analysis, scene.stop_time
+    if analysis.is_small_signal and analysis.stop:
+        limit = analysis.stop / MILLIHERTZ_RATIO
+        reference = f"analysis.stop, {format_quantity(analysis.stop, 'Hz')}"
+    elif analysis.type == "transient" and duration > 0:
+        limit = SMALLEST_PERIOD_SHARE / duration
+        reference = (
+            f"the frequency range of a transient analysis of {format_quantity(duration, 's')}"
+        )
+    else:
+        return
+    for path, text in _list_texts(scene.tables, ()):
+        match = _MILLIHERTZ.fullmatch(text)
+        if match and 1e-3 * float(match[1]) <= limit:
+            warn_user(
+                f"{join_path(path)}: {text} is a frequency in millihertz, far below {reference}: "
+                f'write  "{match[1]} MHz"  if you mean megahertz'
+            )
+
+
+def _list_texts(value: object, path: KeyPath) -> Iterator[tuple[KeyPath, str]]:
+    """Yield all texts in nested tables and lists, each with the path of its key."""
+    if isinstance(value, str):
+        yield path, value
+    items = value.items() if isinstance(value, Mapping) else ()
+    for key, item in enumerate(value) if isinstance(value, list) else items:
+        yield from _list_texts(item, (*path, key))
 
 
 def _warn_of_late_waveforms(scene: Scene) -> None:
@@ -98,11 +147,10 @@ def _warn_of_late_waveforms(scene: Scene) -> None:
         wave = getattr(part.keys, "waveform", None) or part.type.voltage(part, scene)
         begin = wave.find_first_change() if isinstance(wave, Waveform) else None
         if begin is not None and begin >= scene.stop_time:
-            warnings.warn(
+            warn_user(
                 f"{part.name}: the waveform begins at {format_quantity(begin, 's')}, but the "
                 f"transient ends at {format_quantity(scene.stop_time, 's')}, so this source stays "
-                "constant: let the waveform begin earlier, or raise analysis.stop",
-                stacklevel=2,
+                "constant: let the waveform begin earlier, or raise analysis.stop"
             )
 
 
@@ -123,22 +171,35 @@ def _check_largest_step(scene: Scene) -> Iterator[UsageError]:
     step = scene.solver.max_step
     if scene.analysis.type != "transient" or not step:
         return
-    if step > scene.stop_time:
+    stop_key = "solver.stop" if scene.analysis.stop is None else "analysis.stop"
+    where = scene.select_overridden_key(stop_key, "solver.max_step")
+    if step > scene.stop_time and where == stop_key:
+        table, _, key = stop_key.partition(".")
+        yield UsageError(
+            "the simulation is shorter than its largest time step",
+            where=where,
+            got=format_quantity(scene.stop_time, "s"),
+            expected=f"at least `solver.max_step`, {format_quantity(step, 's')}",
+            hint=f'write  {key} = "{format_quantity(USUAL_STEPS * step, "s")}"  in [{table}]',
+        )
+    elif step > scene.stop_time:
         yield UsageError(
             "the time step is longer than the simulation",
             where="solver.max_step",
             got=f"{step:g} s",
             expected=f"at most the duration of the simulation, {scene.stop_time:g} s",
-            hint="delete solver.max_step: steps are then chosen from the error estimate",
+            hint="delete the key `max_step` of [solver]",
         )
     points = scene.stop_time / step
     if points > MAX_TIME_POINTS:
         yield UsageError(
             "the run has too many time points",
-            where="solver.max_step",
+            where=where,
             got=f"{scene.stop_time:g} s in steps of {step:g} s: {points:.2g} points",
             expected=f"at most {MAX_TIME_POINTS:g}",
-            hint="raise solver.max_step, or lower analysis.stop or solver.stop",
+            hint="raise solver.max_step, or lower analysis.stop or solver.stop"
+            if where == "solver.max_step"
+            else f"lower {where}, or raise solver.max_step",
         )
 
 
@@ -265,16 +326,19 @@ def _check_swept_key(scene: Scene) -> Iterator[UsageError]:
     selected = scene.analysis
     name, _, _ = (selected.sweep or "").partition(".")
     if name not in scene.parts:
-        sources = [part.name for part in scene.list_parts("source")] or list(scene.parts)
+        sources = [part.name for part in scene.list_parts("source")]
         missing = selected.sweep is None
+        listed = list_candidates(name, sources) if sources else "this scene has no source"
         yield UsageError(
             "the key `analysis.sweep` of the dc analysis is missing"
             if missing
             else f"this scene has no part {name!r}",
             where="analysis" if missing else "analysis.sweep",
             got='type = "dc" without sweep' if missing else repr(selected.sweep),
-            expected=f"PART.dc of a source of the scene: {list_candidates(name, sources)}",
-            hint=f'write  sweep = "{sources[0]}.dc"  in [analysis]',
+            expected=f"PART.dc of a source of the scene: {listed}",
+            hint=f'write  sweep = "{sources[0]}.dc"  in [analysis]'
+            if sources
+            else 'write  type = "op"  in [analysis], which needs no source',
         )
     unit = _find_independent_variable_unit(scene)
     for key, value in (("from", selected.from_), ("to", selected.to)):
@@ -282,31 +346,83 @@ def _check_swept_key(scene: Scene) -> Iterator[UsageError]:
             convert_quantity(value, unit, where=f"analysis.{key}")
 
 
-def _check_unused_keys(selected: Analysis) -> Iterator[UsageError]:
-    """Yield an error for each key of ``analysis`` that has no effect.
+# types of analysis that read a key of ``analysis``
+_ANALYSIS_TYPES_BY_KEY = {
+    "stop": ("transient", "ac", "noise"),
+    "start": ("ac", "noise"),
+    "scale": ("ac", "noise"),
+    "points": ("ac", "noise", "dc"),
+    "from_": ("dc",),
+    "to": ("dc",),
+    "sweep": ("dc",),
+    "back": ("dc",),
+    "output": ("noise",),
+}
+# If only keys of this list are unused, separate functions yield the errors about the unused keys.
+# If further keys are unused, :func:`_check_unused_keys` yields one error about all unused keys.
+_SEPARATELY_CHECKED_KEYS = ("sweep", "back", "output")
 
-    Separate functions check the keys ``sweep``, ``back`` and ``output``.
+
+def _check_unused_keys(scene: Scene) -> Iterator[UsageError]:
+    """Yield one error about all keys of ``analysis`` that have no effect."""
+    selected = scene.analysis
+    unused = [
+        name
+        for name, types in _ANALYSIS_TYPES_BY_KEY.items()
+        if selected.type not in types and getattr(selected, name) is not None
+        and name in selected.model_fields_set
+    ]  # fmt: skip
+    changed = scene.source is not None and scene.source.overrides_key("analysis.type")
+    if not unused or (not changed and set(unused) <= set(_SEPARATELY_CHECKED_KEYS)):
+        return
+    keys = [name.rstrip("_") for name in unused]
+    quoted = _quote_keys(keys)
+    is_single = len(keys) == 1
+    types = " or ".join(_ANALYSIS_TYPES_BY_KEY[unused[0]])
+    used = [
+        name.rstrip("_") for name, kinds in _ANALYSIS_TYPES_BY_KEY.items() if selected.type in kinds
+    ]
+    yield UsageError(
+        f"the key{'' if is_single else 's'} {quoted} {'has' if is_single else 'have'} no effect "
+        f"in the {selected.type} analysis",
+        where="analysis.type" if changed else f"analysis.{keys[0]}",
+        got=f"{', '.join(keys)} with type = {selected.type}",
+        expected=f"{keys[0]} with type = {types}"
+        if is_single
+        else f"with type = {selected.type}, only these keys: {', '.join(['type', *used])}",
+        hint=_advise_analysis_keys(scene, keys),
+    )
+
+
+def _quote_keys(keys: Sequence[str]) -> str:
+    """Return names of keys in backticks, as a list in a sentence.
+
+    >>> _quote_keys(["stop", "start", "scale"])
+    '`stop`, `start` and `scale`'
     """
-    readers = {
-        "stop": ("transient", "ac", "noise"),
-        "start": ("ac", "noise"),
-        "scale": ("ac", "noise"),
-        "points": ("ac", "noise", "dc"),
-        "from_": ("dc",),
-        "to": ("dc",),
-    }
-    for name, types in readers.items():
-        value = getattr(selected, name)
-        if selected.type in types or name not in selected.model_fields_set or value is None:
-            continue
-        key = name.rstrip("_")
-        yield UsageError(
-            f"the key `{key}` has no effect in the {selected.type} analysis",
-            where=f"analysis.{key}",
-            got=f"{key} with type = {selected.type}",
-            expected=f"{key} with type = {' or '.join(types)}",
-            hint=f"delete the key `{key}` of [analysis]",
-        )
+    quoted = [f"`{key}`" for key in keys]
+    return " and ".join(filter(None, (", ".join(quoted[:-1]), quoted[-1])))
+
+
+def _advise_analysis_keys(scene: Scene, unused: Sequence[str]) -> str:
+    """Return a hint to delete unused keys of ``analysis``, and to add a missing key ``sweep``.
+
+    If an override changes the type of the analysis, the hint is to override all keys.
+    """
+    selected, source = scene.analysis, scene.source
+    added = {}
+    if selected.type == "dc" and selected.sweep is None and (parts := scene.list_parts("source")):
+        added["sweep"] = f"{parts[0].name}.dc"
+    if source is not None and source.overrides_key("analysis.type"):
+        stated = scene.tables.get("analysis", {})
+        table = {key: value for key, value in stated.items() if key not in unused} | added
+        if source.overrides["analysis", "type"].startswith("--set"):
+            text = shlex.quote(f"analysis={format_toml(table)}")
+            return f"write  --set {text}  in place of --set analysis.type={selected.type}"
+        return f"write  'analysis': {table!r}  in place of 'analysis.type': {selected.type!r}"
+    quoted = _quote_keys(unused)
+    addition = "".join(f', and add  {key} = "{value}"' for key, value in added.items())
+    return f"delete the key{'' if len(unused) == 1 else 's'} {quoted} of [analysis]{addition}"
 
 
 def _warn_of_unused_solver_keys(scene: Scene) -> None:
@@ -314,9 +430,7 @@ def _warn_of_unused_solver_keys(scene: Scene) -> None:
     kind, stated = scene.analysis.type, scene.solver.model_fields_set
     for key in TRANSIENT_SOLVER_KEYS if kind != "transient" else ():
         if key in stated and getattr(scene.solver, key) is not None:
-            warnings.warn(
-                f"the key `solver.{key}` has no effect in the {kind} analysis", stacklevel=2
-            )
+            warn_user(f"the key `solver.{key}` has no effect in the {kind} analysis")
 
 
 def check_periods(scene: Scene) -> Iterator[UsageError]:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import os
 import re
 import shlex
-import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from difflib import get_close_matches
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -26,10 +26,13 @@ from kc2spice.core.synonyms_from_other_programs import PART_TYPE_SYNONYMS
 from kc2spice.core.toml_text import clip_text, display_text, format_toml
 from kc2spice.core.untrusted_files import (
     make_identifier,
+    parse_toml,
 )
-from kc2spice.scene.catalogue import find_part
+from kc2spice.core.user_warnings import warn_user
+from kc2spice.scene.catalogue import CataloguePart, find_part
 from kc2spice.scene.key_checks import check_periods, check_scene
-from kc2spice.scene.net_formation import add_default_joins
+from kc2spice.scene.keys import KeyDescription, list_part_keys, list_schema_keys
+from kc2spice.scene.net_formation import add_default_joins, warn_of_short_circuits
 from kc2spice.scene.overrides import EXCLUSIVE_KEYS, read_overrides, set_key, write_example
 from kc2spice.scene.part_method_calls import add_part_records, resolve
 from kc2spice.scene.parttype import find_part_type, list_type_names
@@ -39,6 +42,7 @@ from kc2spice.scene.scene_file import SceneFile, open_scene
 from kc2spice.scene.settings import Analysis, SceneKeys
 from kc2spice.scene.start_conditions import find_start_errors
 
+UNKNOWN_KEY = "unknown key"  # message about a key that no table of the scene may contain
 _PART_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,47}")
 PARTS_COMMAND = "kc2spice scenes --parts"  # command that lists the part types
 STRUCTURAL_KEYS = ("part", "pins")  # keys that every table of a part may contain
@@ -134,8 +138,12 @@ def load_scene(
             and not Path(where).is_absolute()
             and not _LINE_NUMBER_SUFFIX.search(where)
         ):
-            problem.hint = _suggest_probed_result(data, source, problem) or problem.hint
+            advice = _suggest_probed_result(data, source, problem)
+            problem.hint = advice or _suggest_catalogue_keys(data, problem) or problem.hint
             if not _explain_replaced_type(data, source, problem):
+                _advise_override(source, problem)
+                if isinstance(scene, Mapping):
+                    _advise_python_key(problem)
                 problem.where = source.locate_key(where)
         raise
 
@@ -152,7 +160,7 @@ def _warn_of_replaced_overrides(
     for other, earlier in typed.items():
         if other in (path, excluded):
             texts = [text.removeprefix("--set ") for text in (earlier, place)]
-            warnings.warn(f"{texts[0]} has no effect, because {texts[1]} replaces it", stacklevel=4)
+            warn_user(f"{texts[0]} has no effect, because {texts[1]} replaces it")
 
 
 def _explain_replaced_type(data: Mapping[str, Any], source: SceneFile, problem: UsageError) -> bool:
@@ -187,6 +195,102 @@ def _explain_replaced_type(data: Mapping[str, Any], source: SceneFile, problem: 
     )
     problem.where = origin
     return True
+
+
+# pattern of a hint that sets a key of a table, such as: add  stop = "1 ms"  to [analysis]
+_KEY_HINT = re.compile(r"(?:add|write)  (\w+) = (.+?)  (?:to|in) \[(\[?)([\w.]+)\]+(.*)")
+
+# pattern of a hint that states a fraction, such as: for 5 %, write  tolerance = 0.05  in [rom]
+_FRACTION_HINT = re.compile(r"(for \S+ %), write  \w+ = (\S+)(?:  in \[[\w.]+\])?")
+
+# pattern of a hint that deletes a key, such as: delete the key `back`
+_DELETE_HINT = re.compile(r"delete (?:the key )?`?(\w+)`?(?: of \[\w+\])?(?=$|;)")
+
+
+# pattern of a hint that changes one key, such as: raise pulse.period to 1 ms
+_OTHER_KEY_HINT = re.compile(r"(?:raise|lower) ([\w.]+) (?:to|above|below) .+")
+# Smallest number of letters in a key that is searched for in an error message. Shorter keys could
+# be ordinary words, such as `of`.
+_SHORTEST_KEY = 4
+
+
+def _find_override_named_in_error(source: SceneFile, problem: UsageError) -> str | None:
+    """Find the origin of the override whose key the error names, or return None.
+
+    The override must change a key of the table in which the error occurs.
+    """
+    if problem.message == UNKNOWN_KEY:  # the error lists keys that need no change
+        return None
+    table = str(problem.where).partition(".")[0]
+    texts = problem.message, str(problem.got), problem.expected or "", problem.hint or ""
+    words = set(re.findall(r"\w+", " ".join(texts)))
+    for path, origin in source.overrides.items():
+        is_key = path[0] == table and len(path) > 1 and len(path[-1]) >= _SHORTEST_KEY
+        if is_key and path[-1] in words:
+            return origin
+    return None
+
+
+def _advise_either(origin: str, hint: str | None) -> str:
+    """Advise to change an override, or to do what another hint states."""
+    override = origin.removeprefix("overrides ")
+    change = f"change {override}" + (" in the overrides" if override != origin else "")
+    return f"{change}, or {hint}" if hint else change
+
+
+def _advise_override(source: SceneFile, problem: UsageError) -> None:
+    """Advise an override in place of a change of the file, if an override caused an error."""
+    origin = source.find_override(str(problem.where))
+    if origin is None:
+        if (other := _find_override_named_in_error(source, problem)) is not None:
+            problem.hint = _advise_either(other, problem.hint)
+        return
+    if (changed := _OTHER_KEY_HINT.fullmatch(problem.hint or "")) is not None:
+        table = f"{str(problem.where).partition('.')[0]}."
+        if not source.overrides_key(table + changed[1].removeprefix(table)):
+            problem.hint = _advise_either(origin, problem.hint)
+        return
+    deleted = _DELETE_HINT.match(problem.hint or "")
+    if deleted and origin.startswith("--set") and source.overrides_key(str(problem.where)):
+        key = str(problem.where).rpartition(".")[2]
+        if deleted[1] == key:
+            problem.hint = f"leave out {origin}{str(problem.hint)[deleted.end() :]}"
+        return
+    fraction = _FRACTION_HINT.fullmatch(problem.hint or "")
+    if fraction is not None:
+        where = str(problem.where)
+        problem.hint = f"{fraction[1]}, write  '{where}': {fraction[2]}  in the overrides"
+        if origin.startswith("--set"):
+            problem.hint = f"{fraction[1]}, write  --set {shlex.quote(f'{where}={fraction[2]}')}"
+        return
+    hint = _KEY_HINT.fullmatch(problem.hint or "")
+    if hint is None:
+        return
+    key, value, is_list, table, end = hint.groups()
+    table += "[0]" if is_list else ""
+    verb = "write" if source.overrides_key(f"{table}.{key}") else "add"
+    if origin.startswith("--set"):
+        text = value[1:-1] if re.fullmatch(r'"[^"]*"', value) else value
+        problem.hint = f"{verb}  --set {shlex.quote(f'{table}.{key}={text}')}{end}"
+        if verb == "add" and problem.message == UNKNOWN_KEY:
+            problem.hint = f"{problem.hint.replace('add', 'write', 1)}  in place of {origin}"
+    else:
+        problem.hint = f"{verb}  '{table}.{key}': {value}  in the overrides{end}"
+
+
+# pattern of a hint that adds a key to a table, such as: add  layers = []  to disc
+_ADD_HINT = re.compile(r"add  (\w+) = (.+)  to (?:\[([\w.]+)\]|([\w.\[\]]+))")
+
+
+def _advise_python_key(problem: UsageError) -> None:
+    """Write the hint that adds a missing TOML key as an entry of a Python mapping."""
+    hint = _ADD_HINT.fullmatch(problem.hint or "")
+    if hint is None or not problem.message.endswith("is missing"):
+        return
+    key, text, header, table = hint.groups()
+    with suppress(ValueError, UsageError):
+        value = parse_toml(f"value = {text}")["value"]
+        problem.hint = f"add  {key!r}: {value!r}  to the dict {header or table}"
 
 
 def _write_override_example(tables: Mapping[str, Any], key: str) -> str:
@@ -253,6 +357,7 @@ def _make_scene(data: dict[str, Any], source: SceneFile) -> Scene:
     for problem in check_scene(scene):
         raise problem
     scene = resolve(_add_default_drive(scene))
+    warn_of_short_circuits(scene)
     implausible = apply_check_action(check_drive_levels(scene), scene.checks.plausible)
     start_errors = find_start_errors(scene, scene.equilibrium_conditions)
     for problem in chain(check_periods(scene), start_errors, implausible):
@@ -277,6 +382,27 @@ def _suggest_probed_result(
         for result in [*same, *results][:1]:
             return f'add  of = "{result}"  to probes.{probe[1]}'
     return None
+
+
+def _suggest_catalogue_keys(data: Mapping[str, Any], error: UsageError) -> str | None:
+    """Suggest the keys of a catalogue part for a table that states only its number.
+
+    Return None for errors that are not about missing keys.
+    """
+    if not error.message.endswith(("is missing", "do not fully determine the circuit")):
+        return None
+    table = data.get((error.where or "").partition(".")[0])
+    number = table.get("number") if isinstance(table, Mapping) else None
+    sold = find_part(number) if isinstance(number, str) else None
+    return None if sold is None else _advise_catalogue_keys(sold)
+
+
+def _advise_catalogue_keys(sold: CataloguePart) -> str:
+    """Return the advice to write the keys that ``kc2spice parts`` prints for a part."""
+    return (
+        f'write  part = "{sold.kind}"  and the keys that the command  '
+        f"kc2spice parts {shlex.quote(sold.number)}  prints"
+    )
 
 
 def _make_parts(
@@ -432,31 +558,78 @@ def _list_part_tables(data: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[st
 
 def _make_unknown_key_error(name: str, data: Mapping[str, Any]) -> UsageError:
     """Return the error about an unknown key at the top level of a scene."""
-    parts, part_keys = [], []
-    for item, table in data.items():
-        if isinstance(table, Mapping) and item not in SceneKeys.model_fields:
-            parts.append(item)
-            part_keys += _list_part_keys(item, table)
-    headers = ", ".join(map("[{}]".format, parts))
-    below = f"write the keys of a part below its table header: {headers}" if parts else None
+    delete = f"delete {name}; kc2spice scenes --keys lists all keys"
     if isinstance(data[name], list):
-        below = 'write a table for each part: [NAME] with part = "TYPE"'
+        delete = 'write a table for each part: [NAME] with part = "TYPE"'
     return UsageError(
-        "unknown key",
+        UNKNOWN_KEY,
         where=name,
         expected=f"one of {list_candidates(name, SceneKeys.model_fields)}, "
         "or a table with part = TYPE",
         hint=did_you_mean(name, SceneKeys.model_fields)
-        or (f"write {name} below [analysis]" if name in Analysis.model_fields else None)
+        or (_advise_key_in_table(name, data, "analysis") if name in Analysis.model_fields else None)
         or (f"delete {name}: ngspice computes at 27 °C" if name.startswith("temp") else None)
-        or did_you_mean(name, part_keys)
-        or below,
+        or _suggest_key_of_part(name, data)
+        or delete,
     )
+
+
+def _suggest_key_of_part(name: str, data: Mapping[str, Any]) -> str | None:
+    """Suggest to write a key into the first table that has a key of this name.
+
+    If the key has choices, the suggested value is the choice that is most similar to the typed
+    value. The result is None if no part has a key with a similar name.
+    """
+    keys = dict[str, KeyDescription]()
+    for part, table in data.items():
+        kind = _get_stated_type(part, table) if part not in SceneKeys.model_fields else None
+        if kind is not None:
+            keys |= {f"{part}.{key.name}": key for key in list_part_keys(kind.schema)}
+    keys |= {key.name: key for key in list_schema_keys(SceneKeys) if key.name.count(".") == 1}
+    same = [key for key in keys if key.rpartition(".")[2] == name]
+    similar = get_close_matches(name, {key.rpartition(".")[2]: key for key in keys}, 1, 0.7)
+    same = same or [key for key in keys if key.rpartition(".")[2] in similar]
+    if not same:
+        return None
+
+    def rank_key(key: str) -> tuple[bool, int]:
+        """Return the rank of a dotted key; the hint contains the key with the lowest rank.
+
+        Keys outside of the list ``layers`` have lower ranks than keys in the list. If neither key
+        or both keys are in the list, the key with fewer dots has the lower rank.
+        """
+        return ".layers." in key, key.count(".")
+
+    path = min(same, key=rank_key)
+    value, choices = data[name], keys[path].choices
+    if isinstance(value, str) and choices and value not in choices:
+        value = next(iter(get_close_matches(value, choices, 1)), choices[0])
+    table, _, key = path.rpartition(".")
+    return _advise_key_in_table(key, {**data, key: value}, table)
+
+
+def _advise_key_in_table(key: str, data: Mapping[str, Any], table: str) -> str:
+    """Return the hint to write a key and its value into a table of the scene.
+
+    ``data`` contains the value of the key, and the tables of the scene.
+    """
+    holder: Any = data
+    for step in table.split("."):
+        holder = holder.get(step) if isinstance(holder, Mapping) else None
+    header = f"[[{table}]]" if isinstance(holder, list) else f"[{table}]"
+    return f"write  {key} = {format_toml(data[key])}  in {header}"
+
+
+def _get_stated_type(name: str, table: object) -> PartType | None:
+    """Return the part type that a table states, or None if the table states no valid type."""
+    if not isinstance(table, Mapping):
+        return None
+    return find_part_type(str(table.get("part", DEFAULT_TYPES.get(name))))
 
 
 def _list_part_keys(name: str, table: Mapping[str, Any]) -> list[str]:
     """Return the dotted keys of a part; none if the part type is unknown."""
-    kind = find_part_type(str(table.get("part", DEFAULT_TYPES.get(name))))
+    kind = _get_stated_type(name, table)
     keys = () if kind is None else list_keys(kind.schema)
     return [".".join((name, *path)) for path, _ in keys]
 
@@ -475,6 +648,13 @@ def _find_part_type(name: str, table: Mapping[str, Any]) -> PartType:
         for key in ("type", "kind", "parttype", "Part"):
             if isinstance(table.get(key), str) and find_part_type(table[key].lower()) is not None:
                 near = f'write  part = "{table[key].lower()}"  in place of {key} = "{table[key]}"'
+        if name.lower() in ("material", "materials"):
+            raise UsageError(
+                "a scene cannot contain a table of materials",
+                where=name,
+                expected="the constants of a material in the key `material` of a part or a layer",
+                hint=_advise_material_in_layer(table),
+            )
         raise UsageError(
             "the key `part` is missing in this table",
             where=name,
@@ -494,6 +674,16 @@ def _find_part_type(name: str, table: Mapping[str, Any]) -> PartType:
     return result
 
 
+def _advise_material_in_layer(table: Mapping[str, Any]) -> str:
+    """Advise to move the constants of a material into the table of a layer or part."""
+    inner = next((item for item in table.values() if isinstance(item, Mapping)), table)
+    constants = format_toml(dict(inner)) if inner else '{ like = "steel" }'
+    return (
+        f"delete this table, and write  material = {constants}  in the layer or part that is made "
+        "of this material; docs/how-to/own_material.md lists the keys"
+    )
+
+
 def make_unknown_type_error(selected: object, where: str, advice: str) -> UsageError:
     """Make the error for a text that is not the name of a part type.
 
@@ -510,8 +700,7 @@ def make_unknown_type_error(selected: object, where: str, advice: str) -> UsageE
         where=where,
         got=repr(selected),
         expected=f"the part type {sold.kind}, with the keys of {sold.number}",
-        hint=f'write  part = "{sold.kind}"  and the keys that the command  '
-        f"kc2spice parts {shlex.quote(sold.number)}  prints",
+        hint=_advise_catalogue_keys(sold),
     )
 
 

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 from kc2spice.core.errors import unknown
 from kc2spice.core.probe_values import compute_probe_value
 from kc2spice.core.sound_level import GAS_REFERENCE, SoundLevel
+from kc2spice.core.user_warnings import warn_user
 from kc2spice.core.waveforms import SCALES, Waveforms
 from kc2spice.scene import noise_analysis
 from kc2spice.scene.checks import Metric
@@ -25,15 +26,17 @@ from kc2spice.scene.settings import ProbeKeys
 
 
 class Metrics(NamedTuple):
-    """Values of the metrics of a run, and their SI units and warnings.
+    """Values of the metrics of a run, and their SI units, warnings and resolutions.
 
-    ``units`` and ``warnings`` are keyed by dotted name. They contain only metrics that have a unit
-    or a warning.
+    ``units``, ``warnings`` and ``resolutions`` are keyed by dotted name. ``units`` contains only
+    metrics with a unit, ``warnings`` only metrics with a warning, and ``resolutions`` only metrics
+    with a resolution.
     """
 
     values: dict[str, Any]
     units: dict[str, str]
     warnings: dict[str, str]
+    resolutions: dict[str, float]
 
 
 def compute_metrics(waves: Waveforms, build: BuiltScene, *, partial: bool = False) -> Metrics:
@@ -47,11 +50,11 @@ def compute_metrics(waves: Waveforms, build: BuiltScene, *, partial: bool = Fals
 
 
 def _split_metrics(rows: Mapping[str, Any], path: str = "") -> Metrics:
-    """Separate the values of nested metrics from their units and warnings.
+    """Separate the values of nested metrics from their units, warnings and resolutions.
 
-    The tables of values remain nested; units and warnings are keyed by dotted name.
+    The tables of values remain nested; units, warnings and resolutions are keyed by dotted name.
     """
-    result = Metrics({}, {}, {})
+    result = Metrics({}, {}, {}, {})
     for name, item in rows.items():
         metric = item if isinstance(item, Metric) else Metric(item)
         value = metric.value
@@ -59,11 +62,14 @@ def _split_metrics(rows: Mapping[str, Any], path: str = "") -> Metrics:
             result.units[f"{path}{name}"] = metric.unit
         if metric.warning:
             result.warnings[f"{path}{name}"] = metric.warning
+        if metric.resolution:
+            result.resolutions[f"{path}{name}"] = metric.resolution
         if isinstance(value, Mapping):
             inner = _split_metrics(value, f"{path}{name}.")
             value = inner.values
             result.units.update(inner.units)
             result.warnings.update(inner.warnings)
+            result.resolutions.update(inner.resolutions)
         result.values[name] = value
     return result
 
@@ -132,6 +138,11 @@ def _evaluate_probe(name: str, probe: ProbeKeys, build: BuiltScene, waves: Wavef
     if probe.of not in waves:
         known = list(waves.data)[1:]
         raise unknown("the run has no such result", probe.of, known, f"key {where}.of")
+    if build.scene.analysis.type == "ac" and not waves[probe.of].any():
+        warn_user(
+            f"{where}: {probe.of} is zero at all frequencies, because no source with the key `ac` "
+            "drives it"
+        )
     value = compute_probe_value(
         probe.take,
         waves.scale.real,

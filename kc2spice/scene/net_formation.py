@@ -17,6 +17,7 @@ from typing import Any
 
 from kc2spice.core.domains import ELECTRICAL, QUANTITIES, Domain
 from kc2spice.core.errors import UsageError, did_you_mean, list_candidates, unknown
+from kc2spice.core.user_warnings import warn_user
 from kc2spice.scene.part_records import EquilibriumConditions
 from kc2spice.scene.parttype import find_current_into
 from kc2spice.scene.reference_frames import find_frames
@@ -28,6 +29,7 @@ from kc2spice.scene.scene_classes import (
     Part,
     Scene,
     Terminal,
+    WiredScene,
 )
 
 Pin = tuple[str, str]
@@ -196,11 +198,9 @@ def _require_same_kind(a: Pin, b: Pin, scene: Scene, where: str) -> None:
     if _GROUND_PIN in (a, b):
         return
     first, second = scene.terminals[a], scene.terminals[b]
-    if not _are_compatible(first, second):
+    if not first.fits(second):
         pins = [*scene.terminals.items(), *_list_optional_pins(scene)]
-        fitting = (
-            pin for pin, terminal in pins if pin[0] != a[0] and _are_compatible(first, terminal)
-        )
+        fitting = (pin for pin, terminal in pins if pin[0] != a[0] and first.fits(terminal))
         choices = list(map(".".join, fitting))
         hint = _suggest_kind(a[0], first, second) or _suggest_target(a, choices, scene)
         name = ".".join(b)
@@ -255,15 +255,6 @@ def _suggest_target(pin: Pin, choices: Sequence[str], scene: Scene) -> str:
     joined = len(ends) == 2 and not ends.isdisjoint({*scene.parts[pin[0]].pins} - {pin[1]})
     target = choices[0] if choices and not joined else GROUND
     return f'write  {pin[1]} = "{target}"'
-
-
-def _are_compatible(a: Terminal, b: Terminal) -> bool:
-    """Return whether two pins have equal units and compatible flows.
-
-    The flows of two pins are compatible if they have equal units, or if one of the pins is a signal
-    pin, which has no flow.
-    """
-    return a.unit == b.unit and (a.flow == b.flow or "-" in (a.flow, b.flow))
 
 
 def _require_one_kind(net: list[Pin], scene: Scene) -> None:
@@ -324,14 +315,19 @@ def _with_inner_names(scene: Scene) -> Scene:
 def list_metered_pins(part: Part, scene: Scene) -> dict[str, Domain]:
     """Return the pins of a part at which a flow can be measured, with their domains.
 
-    Pins on ground are excluded. If the flow of a domain is a power, the reference pin, such as
+    Electrical pins on ground are excluded, and pins that are on ground by default. A displacement
+    pin that the scene joins to ground is included, because its flow is the reaction force of the
+    wall. If the flow of a domain is a power, the reference pin, such as
     ``ambient``, is also excluded. The flow out of a reference pin is the sum of the flows into all
     other pins of the part.
     """
     result: dict[str, Domain] = {}
     for pin in scene.pins(part.name):
         domain = pin.domain
-        if domain is None or not domain.can_be_metered or scene.get_net(part.name, pin.name) == "0":
+        if domain is None or not domain.can_be_metered:
+            continue
+        on_wall = domain.reference not in ("", pin.name) and pin.default != GROUND
+        if scene.get_net(part.name, pin.name) == "0" and not on_wall:
             continue
         if domain.power != "through" or pin.name != domain.reference:
             result[pin.name] = domain
@@ -344,7 +340,11 @@ def list_power_input_pins(part: Part, scene: Scene) -> dict[str, Domain]:
     For a part with electrical pins, the domain is electrical. For all other parts, the domain of
     the first pin is used.
     """
-    pins = list_metered_pins(part, scene)
+    pins = {
+        pin: domain
+        for pin, domain in list_metered_pins(part, scene).items()
+        if scene.get_net(part.name, pin) != "0"
+    }
     domains = [*pins.values()]
     powered = ELECTRICAL if ELECTRICAL in domains else next(iter(domains), None)
     return {pin: domain for pin, domain in pins.items() if domain is powered}
@@ -367,11 +367,13 @@ def _list_metered_pins(scene: Scene) -> Iterator[Pin]:
         for pin, domain in list_metered_pins(part, scene).items():
             flow = domain.through_variable.name
             first = domain is ELECTRICAL and pin == next(iter(powered))
+            moves = scene.get_net(name, pin) != "0"
             # the current of a body may be known from the other part at the pin, without an ammeter
             paired = part.is_body and not domain.reference
             if (
                 (quantity == "power" and pin in powered)
-                or quantity in (f"{pin}.power", f"{pin}.{flow}")
+                or quantity == f"{pin}.{flow}"
+                or (moves and quantity == f"{pin}.power")
                 or (
                     first
                     and quantity == flow
@@ -412,10 +414,10 @@ def _make_unjoined_error(
     fitting: list[Pin] = []
     waiting: list[Pin] = []
     for end, other in scene.terminals.items():
-        if end[0] != name and _are_compatible(terminal, other):
+        if end[0] != name and terminal.fits(other):
             (waiting if end in alone else fitting).append(end)
     for end, other in _list_optional_pins(scene):
-        if end[0] != name and _are_compatible(terminal, other):
+        if end[0] != name and terminal.fits(other):
             waiting.append(end)
     names = list(map(".".join, waiting + fitting))
     count = LISTED_PINS - (not terminal.can_move)
@@ -482,6 +484,33 @@ def _require_pins_on_distinct_nets(scene: Scene) -> None:
                 got=f"{part.name}.{a} and {part.name}.{b} on {'gnd' if net == '0' else net}",
                 expected="two pins on different nets",
                 hint=f'connect one of the pins to another net: pins = {{ {a} = "part.pin" }}',
+            )
+
+
+def find_short_circuit(part: Part, scene: WiredScene) -> tuple[str, str] | None:
+    """Return the two pins of a part's main electrical port if they are on the same net.
+
+    The main port of a body consists of the first two electrical pins of the body. A part that is
+    not a body has a main port only if the part has exactly two electrical pins.
+    """
+    pins = [pin.name for pin in scene.pins(part.name) if pin.domain is ELECTRICAL]
+    if len(pins) != 2 and not (part.is_body and len(pins) > 2):
+        return None
+    net, other = scene.get_nets(part.name, pins[:2])
+    return (pins[0], pins[1]) if net == other else None
+
+
+def warn_of_short_circuits(scene: Scene) -> None:
+    """Warn about each part whose main electrical port is short-circuited."""
+    for name, part in scene.parts.items():
+        pins = None if name in scene.without_cards else find_short_circuit(part, scene)
+        if pins is not None:
+            net = scene.get_net(name, pins[0])
+            target = part.pins.get(pins[0], GROUND if net == "0" else f"the net {net}")
+            warn_user(
+                f"{name}: both {' and '.join(pins)} are connected to {target}, so {name} is "
+                "short-circuited: its voltage is zero, and no source can drive it electrically; "
+                f"connect {pins[0]} to another net if the short circuit is not intended"
             )
 
 

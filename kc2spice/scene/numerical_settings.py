@@ -122,6 +122,8 @@ def _list_settings(build: BuiltScene) -> Iterator[NumericalSetting]:
     elif scene.analysis.is_small_signal and "analysis" in scene.tables:
         (setting,) = _list_settings_of_keys(scene.analysis, "analysis")
         yield replace(setting, decades=_count_decades(scene.analysis))
+    elif scene.analysis.type == "dc" and "analysis" in scene.tables:
+        yield from _list_settings_of_keys(scene.analysis, "analysis")
     yield from _list_reduction_settings(build)
     for part in scene.parts.values():
         yield from _list_settings_of_keys(part.keys, part.key_prefix)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import textwrap
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
@@ -80,6 +81,8 @@ def write_catalogue_table(sold: CataloguePart) -> str:
     for key, value in scene.tables[part.name].items():
         if key not in STRUCTURAL_KEYS:
             lines.append(f"{key} = {format_toml(value)}")
+    if sold.assumed:
+        lines += textwrap.wrap(f"# assumed: {sold.assumed}", 98, subsequent_indent="# ")
     return "\n".join(lines)
 
 

@@ -5,7 +5,6 @@ A value outside of its plausible range probably has a wrong unit.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +22,7 @@ from kc2spice.core.quantities import (
 )
 from kc2spice.core.schemas import get_plausible_range, get_usual_range
 from kc2spice.core.si_prefix_format import format_quantity
+from kc2spice.core.user_warnings import warn_user
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.scene.checks import Check
 
@@ -163,18 +163,19 @@ def _check_value(
 
 
 def check_layers(
-    where: str, entries: Iterable[tuple[float, float, bool]], *, plate: bool
+    where: str, entries: Iterable[tuple[float, float, bool, float | None]], *, plate: bool
 ) -> Iterator[UsageError]:
     """Yield an error for each layer with an implausible shape.
 
-    Each of the ``entries`` contains the width [m] and the thickness [m] of a layer, and whether the
-    layer is a ceramic. A layer is implausible if it is more than ``MAX_LAYER_ASPECT`` times as
-    thick as wide. If ``plate`` is true, a ceramic layer must not be wider than its metal plate.
+    Each of the ``entries`` contains the width [m] and the thickness [m] of a layer, whether the
+    layer is a ceramic, and the diameter [m] of its electrodes if stated. A layer is implausible if
+    it is more than ``MAX_LAYER_ASPECT`` times as thick as wide. If ``plate`` is true, a ceramic
+    layer must not be wider than its metal plate.
     """
     rows = list(entries)
-    metal = max((width for width, _, ceramic in rows if not ceramic), default=0.0)
+    metal = max((width for width, _, ceramic, _ in rows if not ceramic), default=0.0)
     wide = "ceramic that is wider than its plate breaks off"
-    for k, (width, thickness, ceramic) in enumerate(rows):
+    for k, (width, thickness, ceramic, electrodes) in enumerate(rows):
         thick = (
             f"no layer is more than {MAX_LAYER_ASPECT:g} times as thick as it is wide, "
             f"{format_quantity(width, 'm')}"
@@ -183,9 +184,13 @@ def check_layers(
             f"{where}.{k}.thickness", thickness, "m", 0.0, MAX_LAYER_ASPECT * width, thick
         )
         if plate and ceramic and metal:
-            yield from check_range(
-                f"{where}.{k}.diameter", width, "m", 0.0, MAX_OVERHANG * metal, wide
-            )
+            limit = MAX_OVERHANG * metal
+            for error in check_range(f"{where}.{k}.diameter", width, "m", 0.0, limit, wide):
+                if electrodes is not None and electrodes > limit:
+                    error.hint = (
+                        f"{error.hint}, and lower the key `electrodes` to at most this value"
+                    )
+                yield error
 
 
 def check_drive_levels(scene: Scene) -> Iterator[UsageError]:
@@ -212,9 +217,9 @@ def check_drive_levels(scene: Scene) -> Iterator[UsageError]:
                     hint=hint,
                 )
             elif peak > limit:
-                warnings.warn(f"{name}: {state}: the ceramic may depolarise", stacklevel=2)
+                warn_user(f"{name}: {state}: the ceramic may depolarise")
             elif 0.0 < peak < LOWEST_DRIVE_RATIO * limit:
-                warnings.warn(f"{name}: {state}: {hint or 'is the unit right?'}", stacklevel=2)
+                warn_user(f"{name}: {state}: {hint or 'is the unit right?'}")
 
 
 def _list_peak_voltages(body: str, scene: Scene) -> Iterator[tuple[str, float]]:
@@ -285,10 +290,10 @@ def apply_check_action(errors: Iterable[UsageError], action: str) -> Iterator[Us
     for item in errors:
         if isinstance(item, UnusualValueError):
             hint = item.hint or "is the unit right?"
-            warnings.warn(f"{item.where}: {item.got} is {item.message}; {hint}", stacklevel=2)
+            warn_user(f"{item.where}: {item.got} is {item.message}; {hint}")
             continue
         if action == "warn":
-            warnings.warn(f"{item.where}: {item.got}: {item.message}", stacklevel=2)
+            warn_user(f"{item.where}: {item.got}: {item.message}")
             continue
         hint = item.hint or "is the unit right?"
         item.hint = f"{hint} (to run the scene with this value, set checks.plausible = 'warn')"

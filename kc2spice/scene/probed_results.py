@@ -10,7 +10,7 @@ from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import replace
 
 from kc2spice.core.domains import ACOUSTIC
-from kc2spice.core.errors import UsageError, did_you_mean, unknown
+from kc2spice.core.errors import UsageError, did_you_mean, list_candidates, unknown
 from kc2spice.scene.net_formation import list_metered_pins, list_power_input_pins
 from kc2spice.scene.part_method_calls import add_equilibrium_and_results, resolve
 from kc2spice.scene.results import collect_results, find_noise_output
@@ -49,6 +49,15 @@ def require_probed_results(build: BuiltScene) -> None:
                 build, probe.of, scene.where(f"probes.{name}.of"), waiting
             )
         unit = results.units.get(probe.of)
+        level_unit = getattr(probe.level, "unit", "")
+        if level_unit and unit is not None and level_unit != unit:
+            raise UsageError(
+                "the unit of this level does not match the unit of the probed result",
+                where=scene.where(f"probes.{name}.level"),
+                got=f"a value in {level_unit}",
+                expected=f"a value in {unit}, the unit of {probe.of}" if unit else "a plain number",
+                hint=f"write a level in {unit}" if unit else "write the level without a unit",
+            )
         if probe.take == "spl" and unit not in (None, ACOUSTIC.across.unit):
             raise UsageError(
                 "a sound pressure level needs a pressure",
@@ -99,6 +108,8 @@ def _make_unknown_result_error(
     parts = build.scene.parts
     if owner in parts:
         choices = _select_names_with_prefix(_list_results(build, waiting), f"{owner}.")
+        if error := _make_grounded_pin_error(build, name, where, choices):
+            return error
         suggestion = _suggest_result(name, choices)
         return unknown(
             "the scene has no such result",
@@ -109,6 +120,30 @@ def _make_unknown_result_error(
             advice=suggestion,
         )
     return _make_unknown_part_error(name, parts, where)
+
+
+def _make_grounded_pin_error(
+    build: BuiltScene, name: str, where: str, choices: Sequence[str]
+) -> UsageError | None:
+    """Return the error about the motion or power of a pin on ground; None for other results."""
+    owner, *words = name.split(".")
+    for pin in build.scene.pins(owner):
+        domain = pin.domain
+        if domain is None or not domain.reference or pin.name not in words:
+            continue
+        if build.scene.get_net(owner, pin.name) != "0":
+            continue
+        flow = f"{owner}.{pin.name}.{domain.through_variable.name}"
+        return UsageError(
+            f"pin {pin.name} of {owner} is on ground, where this result is zero",
+            where=where,
+            got=repr(name),
+            expected=f"one of {list_candidates(name, choices)}" if choices else None,
+            hint=f"write {flow} in place of {name}"
+            if flow in choices
+            else f"join pin {pin.name} of {owner} to a part instead of ground, or delete the probe",
+        )
+    return None
 
 
 def _make_unknown_part_error(name: str, parts: Iterable[str], where: str) -> UsageError:
@@ -159,4 +194,6 @@ def _list_metered_results(part: Part, scene: Scene, known: Collection[str]) -> I
             yield f"{n}.{through.name}"
     if separate:
         for pin, domain in pins.items():
-            yield from (f"{n}.{pin}.{domain.through_variable.name}", f"{n}.{pin}.power")
+            yield f"{n}.{pin}.{domain.through_variable.name}"
+            if scene.get_net(n, pin) != "0":
+                yield f"{n}.{pin}.power"

@@ -10,12 +10,12 @@ acceleration a, a force F moves a mass m by the displacement x along the unit ve
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator, Mapping
 from operator import mul
 
 from kc2spice.core.domains import ACCELERATION, TRANSLATION, VELOCITY
 from kc2spice.core.errors import UsageError
+from kc2spice.core.user_warnings import warn_user
 from kc2spice.scene.part_records import PERPENDICULAR_COSINE, AcceleratedFrame, FrameAcceleration
 from kc2spice.scene.scene_classes import Part, Scene
 
@@ -177,7 +177,7 @@ def _require_acceleration_pin(
                 f"in {_describe_frame(frame)}, the netlist must apply the inertial force -m a to "
                 "each of its masses"
             )
-            warnings.warn(f"{part.name}.{pin}: {advice}", stacklevel=2)
+            warn_user(f"{part.name}.{pin}: {advice}")
         elif pin not in part.type.pins_with_mass(part, scene):
             continue
         elif not part.type.follows_frames:

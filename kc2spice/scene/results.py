@@ -104,7 +104,9 @@ def _collect_metered_results(
         through = domain.through_variable
         read = PartResult(f"i({build.find_meter_name(part, pin)})", through.factor, through.unit)
         result[f"{name}.{pin}.{through.name}"] = read
-        result[f"{name}.{pin}.{domain.across.symbol}"] = build.get_pin_vector(part, pin)
+        across = build.get_pin_vector(part, pin)
+        if across.expression != GROUND_VOLTAGE:
+            result[f"{name}.{pin}.{domain.across.symbol}"] = across
         if not domain.reference and pin == next(iter(list_power_input_pins(part, build.scene))):
             result[f"{name}.{through.name}"] = read
     for quantity_name, symbol in FLOW_SYMBOLS.items():
@@ -148,7 +150,8 @@ def collect_powers(build: BuiltScene, known: Collection[str]) -> dict[str, Power
     for name, pin in build.scene.meters:
         part = build.scene.parts[name]
         domain = list_metered_pins(part, build.scene)[pin]
-        if f"{name}.{pin}.power" in build.scene.probed_results:
+        moves = build.get_net(part, pin) != "0"
+        if moves and f"{name}.{pin}.power" in build.scene.probed_results:
             result[f"{name}.{pin}.power"] = (_make_pin_power_term(part, pin, domain, build),)
     return result
 

@@ -14,7 +14,7 @@ import math
 import re
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import chain
 from operator import attrgetter
 from pathlib import Path
@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, Protocol, cas
 import numpy as np
 from typing_extensions import TypeVar
 
+from kc2spice.core.attribute_advice import WRITING_METHODS, AdvisesOnAttributes, make_index_error
 from kc2spice.core.domains import SIGNAL, Domain, Quantity, find_across_quantity, find_domain
 from kc2spice.core.errors import UsageError, unknown, wrong
 from kc2spice.core.memory_store import Workspace
@@ -129,6 +130,15 @@ class Terminal:
     def kind(self) -> str:
         """Kind of the pin: its units as text. Only pins of the same kind may be joined."""
         return f"{self.unit}/{self.flow}" if self.flow != SIGNAL else f"signal in {self.unit}"
+
+    def fits(self, other: Terminal) -> bool:
+        """Return whether the pins have equal units and compatible flows.
+
+        The flows of two pins are compatible if they have equal units, or if one of the pins is a
+        signal pin, which has no flow.
+        """
+        flows = self.flow, other.flow
+        return self.unit == other.unit and (self.flow == other.flow or SIGNAL in flows)
 
     @property
     def can_move(self) -> bool:
@@ -288,7 +298,7 @@ class KeyLocator(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class DeclaredScene:
+class DeclaredScene(AdvisesOnAttributes):
     """First loading stage of a scene: the checked keys and parts of its file.
 
     ``frame`` contains the keys outside of parts. ``parts`` contains first the parts of the file, in
@@ -301,12 +311,28 @@ class DeclaredScene:
     derived from a scene use the cache of that scene.
     """
 
+    _attribute_advice: ClassVar[Mapping[str, str]] = {
+        **dict.fromkeys(
+            WRITING_METHODS, 'kc.export(SCENE, "DIRECTORY") writes the netlists of a scene'
+        ),
+        **dict.fromkeys(("run", "simulate", "plot", "metrics"), "kc.run(SCENE) returns a result"),
+        "deck": "kc.deck(SCENE) returns the deck of a scene",
+        "build": "kc.build(SCENE) returns the models of a scene",
+        "verify": "kc.verify(SCENE) verifies a scene",
+    }
+
     frame: SceneKeys
     parts: Mapping[str, Part]
     home: Path = Path()
     ports: Literal["needed", "declared", "all"] = "needed"
     resolved_frequency: float | None = None
     workspace: Workspace = field(default_factory=Workspace)
+
+    if not TYPE_CHECKING:  # otherwise mypy would accept every index
+
+        def __getitem__(self, name: object) -> Any:
+            """Raise the error about an index, with advice on how to find a part."""
+            raise make_index_error(self, f"SCENE.parts[{name!r}] returns a part")
 
     @property
     def name(self) -> str:
@@ -963,7 +989,14 @@ class PartType(Generic[KeysT]):
             if meter:
                 ammeters.append(Element.from_words(meter, net, meter, "0"))
         instance = Element.from_words(f"X{part.name}", *nodes, build.libraries[part.name])
-        return (instance, *ammeters)
+        return (replace(instance, parameters=dict(self.instance_parameters(part))), *ammeters)
+
+    def instance_parameters(self, part: Part[KeysT]) -> Mapping[str, str]:
+        """Return the parameters on the instance card of the part, keyed by name.
+
+        The base class returns no parameters, so the subcircuit uses its default values.
+        """
+        return {}
 
     def settable_quantities(
         self, part: Part[KeysT], build: BuiltScene

@@ -3,18 +3,30 @@
 from __future__ import annotations
 
 import contextlib
+import difflib
 import re
-from collections.abc import Collection, Iterator, Mapping
+import shlex
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import resources
 from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any
 
-from kc2spice.core.errors import UsageError, did_you_mean, list_candidates
+from kc2spice.core.errors import (
+    MAX_CANDIDATES,
+    MIN_FRAGMENT_LENGTH,
+    MIN_WORD_LENGTH,
+    TYPING_ERROR_RATIO,
+    UsageError,
+    did_you_mean,
+    join_first,
+    list_candidates,
+)
 from kc2spice.core.files import find_similar_name
+from kc2spice.core.other_file_formats import identify_binary_format, make_other_format_error
 from kc2spice.core.schemas import join_path
-from kc2spice.core.toml_errors import parse_toml_file
+from kc2spice.core.toml_errors import EXPECTED_SCENE_FILE, parse_toml_file
 from kc2spice.core.untrusted_files import (
     MAX_TEXT_BYTES,
     decode_text,
@@ -22,7 +34,7 @@ from kc2spice.core.untrusted_files import (
     read_bounded,
     split_lines,
 )
-from kc2spice.scene.catalogue import find_part, read_catalogue
+from kc2spice.scene.catalogue import find_part, read_catalogue, search_parts
 
 INCLUDE = "include"  # key of a scene for netlist files that its parts use
 # Keys whose value is the name of a file, in the tables of all part types.
@@ -30,6 +42,27 @@ _FILE_KEYS = frozenset({"file", "mesh", "sidecar", INCLUDE})
 MAX_HEAD_LENGTH = 1000  # number of characters of a netlist within which its scene is named
 _EXPORTED_FROM = re.compile(r"(?m)^\* scene: (\S+) hash=")
 _ANALYSIS_CARD = re.compile(r"(?im)^\.(tran|ac|dc|op|noise)\b")
+
+
+def _find_unit_of_key(lines: Sequence[str], number: int, key: str) -> str | None:
+    """Find the SI unit of a key in a text that is not valid TOML, from the part type.
+
+    The line ``part = "TYPE"`` of the same table states the part type. The result is None if the
+    table has no such line, or if keys of the part with this name have several units.
+    """
+    from kc2spice.core.schemas import find_unit, list_keys
+    from kc2spice.scene.parttype import find_part_type
+
+    header = re.compile(r"\s*\[")
+    begin = next((k for k in range(number - 1, -1, -1) if header.match(lines[k])), 0)
+    after = (k for k in range(number, len(lines)) if header.match(lines[k]))
+    table = "\n".join(lines[begin : next(after, len(lines))])
+    stated = re.search(r"(?m)^\s*part\s*=\s*[\"'](\w+)[\"']", table)
+    kind = find_part_type(stated[1]) if stated else None
+    if kind is None:
+        return None
+    units = {find_unit(field) for path, field in list_keys(kind.schema) if path[-1] == key}
+    return units.pop() if len(units) == 1 else None
 
 
 def list_gallery() -> dict[str, Traversable]:
@@ -57,7 +90,7 @@ class SceneFile:
 
     def parse_tables(self) -> dict[str, Any]:
         """Parse the text of the file, and return its tables."""
-        return parse_toml_file(self.text, self.label)
+        return parse_toml_file(self.text, self.label, find_unit=_find_unit_of_key)
 
     @property
     def base_folder(self) -> Path:
@@ -148,6 +181,8 @@ def open_scene(name_or_path: str | Path) -> SceneFile:
         )
     try:
         data = read_bounded(path, MAX_TEXT_BYTES)
+        if (file_format := identify_binary_format(data, path.suffix)) is not None:
+            raise make_other_format_error(path, file_format, "scene", EXPECTED_SCENE_FILE)
         text = decode_text(data)
     except UnicodeDecodeError:
         raise make_encoding_error(data, name) from None
@@ -189,7 +224,7 @@ def _reject_deck(text: str, path: Path, scenes: Collection[str]) -> None:
     raise UsageError(
         f"this file is the exported deck of the scene {name}, not a scene",
         where=str(path),
-        expected="a TOML file with a table for each part",
+        expected=EXPECTED_SCENE_FILE,
         hint=hint,
     )
 
@@ -198,10 +233,19 @@ def _make_missing_file_error(name: str, path: Path, scenes: Collection[str]) -> 
     """Return the error about a missing file or an unknown built-in scene."""
     listing = "kc2spice scenes lists the built-in scenes"
     if path.suffix != ".toml" and len(path.parts) == 1:
-        expected = (
-            f"a TOML file, or a built-in scene: {list_candidates(name, scenes, 'kc2spice scenes')}"
-        )
-        near = did_you_mean(name, scenes) or did_you_mean(name, read_catalogue())
+        matches = _list_scenes_with_word(name, scenes)
+        listed = list_candidates(name, scenes, "kc2spice scenes")
+        expected = f"a TOML file, or a built-in scene: {listed}"
+        near = f"did you mean {matches[0]!r}?" if matches else did_you_mean(name, scenes)
+        if len(matches) > 1:
+            expected = f"a TOML file, or a built-in scene, such as {join_first(matches)}"
+            near = "write one of these names"
+            near += f"; {listing}" if len(matches) > MAX_CANDIDATES else ""
+        with contextlib.suppress(UsageError):
+            if near is None and search_parts(name):
+                words = shlex.quote(name)
+                near = f"write one of the part numbers that  kc2spice parts {words}  lists"
+        near = near or did_you_mean(name, read_catalogue())
         # The operating system may reject a file name, for example because it is too long.
         with contextlib.suppress(OSError, ValueError):
             if Path(f"{path.stem}.toml").is_file():
@@ -216,6 +260,25 @@ def _make_missing_file_error(name: str, path: Path, scenes: Collection[str]) -> 
             listing = f"write {path.stem} for the built-in scene"
     message = "this path is a directory" if path.is_dir() else "this file does not exist"
     return UsageError(message, where=name, expected="the path of a TOML file", hint=listing)
+
+
+def _list_scenes_with_word(word: str, scenes: Collection[str]) -> list[str]:
+    """List the scenes whose names contain a word; names that begin with the word come first.
+
+    The word may contain a typing error. If the word is the complete name of a scene, apart from a
+    typing error, the list contains only this scene.
+    """
+    lower = word.lower().replace("-", "_").strip("_")
+    if similar := difflib.get_close_matches(lower, scenes, n=1, cutoff=TYPING_ERROR_RATIO):
+        return similar
+    if len(lower) < MIN_WORD_LENGTH:
+        return []
+    words = "_".join(scenes).split("_")
+    lower = next(iter(difflib.get_close_matches(lower, words, 1, TYPING_ERROR_RATIO)), lower)
+    first = [name for name in scenes if name.startswith(lower)]
+    long = len(lower) >= MIN_FRAGMENT_LENGTH
+    inside = [name for name in scenes if f"_{lower}_" in f"_{name}_" or (long and lower in name)]
+    return list(dict.fromkeys((*first, *inside)))
 
 
 def _find_gallery() -> Path:

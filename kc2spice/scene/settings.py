@@ -12,6 +12,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
+from kc2spice.core.error_norms import NORM_WORDS
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import (
     Charge,
@@ -23,6 +24,7 @@ from kc2spice.core.quantities import (
     Place,
     Ratio,
     RefinementRule,
+    ResultValue,
     Section,
     Time,
     convert_quantity,
@@ -79,8 +81,8 @@ class RomKeys(Section):
     norm: Literal["pointwise", "peak"] | None = Field(
         None,
         description=(
-            "Norm of the reduced model's error. pointwise: relative to the response at each "
-            "frequency; peak: relative to the largest response in the band. Default: peak if "
+            f"Norm of the reduced model's error. pointwise: relative to {NORM_WORDS['pointwise']}; "
+            f"peak: relative to {NORM_WORDS['peak']}. Default: peak if "
             "every port is only a signal input or a signal output, otherwise pointwise"
         ),
     )
@@ -418,6 +420,11 @@ def _choose_default_scale(keys: dict[str, Any]) -> Literal["log", "linear"]:
 class Analysis(Section):
     """Keys of the scene table ``[analysis]``: the analysis that the simulator runs."""
 
+    unsupported_key_hints: ClassVar[Mapping[str, str]] = dict.fromkeys(
+        ("band", "range", "frequencies"),
+        'write  start = "10 Hz"  and  stop = "10 kHz"  with your frequencies in place of this key',
+    )
+
     type: Literal["transient", "ac", "dc", "op", "noise"] = Field(
         "transient", description="Type of analysis that the simulator runs"
     )
@@ -499,8 +506,10 @@ class ProbeKeys(Section):
     sound pressure level in dB re 20 uPa in gases and 1 uPa in liquids. In an ac analysis, ``spl``
     is the level at the frequency ``at``. If the key ``at`` is missing in an ac analysis, ``spl`` is
     the largest level. In a transient, ``spl`` is the level of the rms pressure. A probe reads the
-    magnitudes of complex values. The keys ``from`` and ``to``, or ``periods``, restrict a probe to
-    a window, such as the steady state.
+    magnitudes of complex values. Flows such as ``PART.force`` and ``PART.PIN.current`` are positive
+    into the part: a positive force acts on the part in the direction of the displacement. The flow
+    of a source is positive out of the source. The keys ``from`` and ``to``, or ``periods``,
+    restrict a probe to a window, such as the steady state.
     """
 
     of: str = Field(
@@ -536,11 +545,12 @@ class ProbeKeys(Section):
             "take = value or take = spl"
         ),
     )
-    level: Ratio | None = Field(
+    level: ResultValue | None = Field(
         None,
         description=(
-            "Level in the SI unit of the result. The probe returns the time, frequency or swept "
-            "value at which the result first crosses this level; requires take = crossing"
+            "Level of the result, in its SI unit or with a unit such as -1.2 um. The probe returns "
+            "the time, frequency or swept value at which the result first crosses this level; "
+            "requires take = crossing"
         ),
     )
     from_: Place | None = Field(

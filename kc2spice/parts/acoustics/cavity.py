@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Iterator
 from typing import Annotated
 
@@ -11,8 +10,9 @@ from pydantic import Field
 
 from kc2spice.core.domains import AMBIENT
 from kc2spice.core.errors import UsageError
-from kc2spice.core.quantities import Length, si
+from kc2spice.core.quantities import Dimension, si
 from kc2spice.core.si_prefix_format import format_quantity
+from kc2spice.core.user_warnings import warn_user
 from kc2spice.parts.acoustics._acoustic_band import choose_acoustic_band
 from kc2spice.parts.acoustics._acoustic_part import (
     COMPLIANCE,
@@ -58,7 +58,7 @@ class CavityKeys(FluidKeys):
             "cavity's volume"
         ),
     )
-    length: Length | None = Field(
+    length: Dimension | None = Field(
         None,
         ge=SMALLEST_LENGTH,
         le=LARGEST_LENGTH,
@@ -150,11 +150,10 @@ stop = "2 kHz"
         limit = LARGEST_WAVELENGTH_RATIO * keys.fluid.sound_speed / keys.longest_dimension
         if scene.analysis.is_small_signal and choose_acoustic_band(scene).high > limit:
             size = format_quantity(float(f"{keys.longest_dimension:.4g}"), "m")
-            warnings.warn(
+            warn_user(
                 f"{part.name}: above {format_quantity(float(f'{limit:.4g}'), 'Hz')} the cavity of "
                 f"{size} is longer than a tenth of a "
-                "wavelength, and its pressure is not uniform: use a tube",
-                stacklevel=2,
+                "wavelength, and its pressure is not uniform: use a tube"
             )
 
     def _fit_relaxations(

@@ -15,7 +15,6 @@ without a flange (S. W. Rienstra and A. Hirschberg, An Introduction to Acoustics
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Annotated, Literal
@@ -25,8 +24,9 @@ from pydantic import Field, model_validator
 from kc2spice.core import constitutive_laws as laws
 from kc2spice.core.domains import ACOUSTIC, AMBIENT
 from kc2spice.core.errors import UsageError
-from kc2spice.core.quantities import Count, Length, make_invalid_value_error, si
+from kc2spice.core.quantities import Count, Dimension, DuctLength, make_invalid_value_error, si
 from kc2spice.core.si_prefix_format import format_quantity
+from kc2spice.core.user_warnings import warn_user
 from kc2spice.netlist.circuit import Element, Item
 from kc2spice.parts.acoustics._acoustic_band import choose_acoustic_band
 from kc2spice.parts.acoustics._acoustic_part import (
@@ -76,12 +76,12 @@ FAR_METER = "Vflow_b"  # name of the ammeter for the volume velocity out of the 
 class DuctKeys(FluidKeys):
     """Keys of a circular duct: its length, its radius and its losses."""
 
-    length: Length = Field(
+    length: DuctLength = Field(
         ge=SMALLEST_LENGTH,
         le=LARGEST_LENGTH,
         description="Length of the duct, without end corrections",
     )
-    radius: Length | None = Field(
+    radius: Dimension | None = Field(
         None, ge=SMALLEST_LENGTH, le=LARGEST_LENGTH, description="Inner radius of the duct"
     )
     area: Annotated[float, si("m2")] | None = Field(
@@ -219,11 +219,10 @@ class DuctPart(AcousticPart[DuctKeys]):
         high = choose_acoustic_band(scene).high
         limit = WIDEST_DUCT * fluid.sound_speed / (2 * math.pi * keys.inner_radius)
         if scene.analysis.is_small_signal and high > limit:
-            warnings.warn(
-                f"{part.name}: above {format_quantity(float(f'{limit:.4g}'), 'Hz')}, further modes "
-                "propagate in a duct of this radius, and the model neglects these modes: lower "
-                "analysis.stop",
-                stacklevel=2,
+            warn_user(
+                f"{part.name}: above {format_quantity(float(f'{limit:.4g}'), 'Hz')}, higher-order "
+                "modes propagate in a duct of this radius, and the model neglects these modes: "
+                "lower analysis.stop"
             )
         self._warn_of_double_ends(part, scene)
 
@@ -238,10 +237,9 @@ class DuctPart(AcousticPart[DuctKeys]):
             for other in scene.list_parts("radiation"):
                 meets = other.name == joined or other.pins.get("face") == f"{part.name}.{end}"
                 if meets and correction != "none":
-                    warnings.warn(
-                        f"{part.name}: the mass of the fluid outside of end {end} counts twice, in "
-                        f'end_{end} = "{correction}" and in {other.name}: set end_{end} = "none"',
-                        stacklevel=2,
+                    warn_user(
+                        f"{part.name}: the fluid mass outside of end {end} is counted twice, in "
+                        f'end_{end} = "{correction}" and in {other.name}: set end_{end} = "none"'
                     )
 
     def count_sections(self, part: Part[DuctKeys], scene: GovernedScene) -> int:
@@ -496,11 +494,10 @@ stop = "3 kHz"
                 hint="delete the key `end_b`",
             )
         if keys.sections is None and self._count_required_sections(part, scene) > MOST_SECTIONS:
-            warnings.warn(
+            warn_user(
                 f"{part.name}: the band needs {self._count_required_sections(part, scene)} "
                 f"sections, but the tube has {MOST_SECTIONS}: the upper frequencies of the band "
-                f"are less accurate",
-                stacklevel=2,
+                f"are less accurate"
             )
 
     def _count_required_sections(self, part: Part[DuctKeys], scene: GovernedScene) -> int:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
@@ -14,9 +13,10 @@ from kc2spice.core import constitutive_laws as laws
 from kc2spice.core.domains import ACOUSTIC, AMBIENT, SIGNAL
 from kc2spice.core.errors import UsageError, unknown
 from kc2spice.core.figure import Curve, Figure, Panel, format_axis_label, get_axis_label_and_factor
-from kc2spice.core.quantities import Length, Ratio, Section
+from kc2spice.core.quantities import ListenerDistance, Ratio, Section
 from kc2spice.core.si_prefix_format import format_quantity
 from kc2spice.core.sound_level import SoundLevel, compute_level
+from kc2spice.core.user_warnings import warn_user
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Circuit, Element, Item, Pin, make_positive_parameter
 from kc2spice.netlist.number_and_name_spelling import format_comment, format_number
@@ -65,7 +65,7 @@ class ListenerKeys(Section):
             "listener; by default all radiating surfaces of the scene"
         ),
     )
-    distance: Length = Field(
+    distance: ListenerDistance = Field(
         1.0,
         ge=1e-6,
         le=1e7,
@@ -227,19 +227,17 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
         keys, top = part.keys, find_highest_frequency(scene)
         limit = min(map(self._find_largest_frequency, [part] * len(sources), sources))
         if scene.analysis.is_small_signal and top > limit:
-            warnings.warn(
+            warn_user(
                 f"{part.name}: at a distance of {format_quantity(keys.distance, 'm')}, the "
                 f"pressure is inaccurate above {format_quantity(limit, 'Hz')}, where the far-field "
-                f"formula is invalid; the analysis ends at {format_quantity(top, 'Hz')}",
-                stacklevel=2,
+                f"formula is invalid; the analysis ends at {format_quantity(top, 'Hz')}"
             )
         surfaces = [source.keys for source in sources]
         if scene.analysis.type == "noise" and any(map(get_baffled_radius, surfaces)) and keys.angle:
             null = format_quantity(find_first_null(surfaces, keys.angle), "Hz")
-            warnings.warn(
+            warn_user(
                 f"{part.name}: a noise analysis neglects the key `angle`, so the computed sound "
-                f"pressure is much too large above {null}",
-                stacklevel=2,
+                f"pressure is much too large above {null}"
             )
 
     def _find_largest_frequency(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Annotated
@@ -14,8 +13,9 @@ from pydantic import Field, model_validator
 from kc2spice.core import constitutive_laws as laws
 from kc2spice.core.domains import ACOUSTIC, AMBIENT, SIGNAL
 from kc2spice.core.errors import UsageError
-from kc2spice.core.quantities import Length, make_invalid_value_error, si
+from kc2spice.core.quantities import Dimension, make_invalid_value_error, si
 from kc2spice.core.si_prefix_format import format_quantity
+from kc2spice.core.user_warnings import warn_user
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Element, Item, make_positive_parameter
 from kc2spice.netlist.number_and_name_spelling import format_number, format_voltage
@@ -65,7 +65,7 @@ class RadiationKeys(FluidKeys):
         description="Shape of the radiating surface: piston in an infinite baffle, piston in the "
         "open end of a tube, or pulsating sphere",
     )
-    radius: Length | None = Field(
+    radius: Dimension | None = Field(
         None, ge=SMALLEST_LENGTH, le=LARGEST_LENGTH, description="Radius of the radiating surface"
     )
     area: Annotated[float, si("m2")] | None = Field(
@@ -159,11 +159,10 @@ stop = "20 kHz"
         highest, limit = find_highest_frequency(scene), part.keys.largest_frequency
         if highest > limit:
             ka = 2 * math.pi * highest * part.keys.surface_radius / part.keys.fluid.sound_speed
-            warnings.warn(
+            warn_user(
                 f"{part.name}: the network of the radiation impedance is valid up to "
                 f"{format_quantity(limit, 'Hz')}, but the analysis ends at "
-                f"{format_quantity(highest, 'Hz')} (k a = {ka:.3g}): lower analysis.stop",
-                stacklevel=2,
+                f"{format_quantity(highest, 'Hz')} (k a = {ka:.3g}): lower analysis.stop"
             )
 
     def network(self, part: Part[RadiationKeys], scene: GovernedScene) -> AcousticNetwork:

@@ -66,8 +66,8 @@ RESONANCE_ADVICE = (
     "matters, set rom.tolerance or a larger rom.order"
 )
 UNSTABLE_BODY_ADVICE = (
-    "the body has unstable modes: check the signs of its matrices, and that both triangles of each "
-    "matrix are present"
+    "the body has unstable modes: check the signs of its matrices, and that the upper and lower "
+    "triangles of each matrix are present"
 )
 UNSTABLE_FULL_ADVICE = (
     "the full model has unstable modes, and the reduced model does not contain them"
@@ -97,6 +97,8 @@ MAX_STORED_SHARE = 0.1
 # A force or energy counts as zero if it is below this fraction of its largest value.
 # The rounding errors of forces and energies are far below this fraction.
 ZERO_LOAD = 1e-9
+# Largest change of a constant voltage due to rounding errors, relative to the voltage.
+ROUNDING_SHARE = 1e-12
 
 
 class BodyChecks(BodyNetlist[LinearKeysT]):
@@ -367,7 +369,8 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
                 continue
             name = get_wave_name(part.name, build.model(part, LinearModel).ports, port)
             voltage = waves.data.get(f"{name}.voltage")
-            if voltage is None or not np.ptp(voltage):
+            # a constant voltage changes only by rounding errors
+            if voltage is None or np.ptp(voltage) <= ROUNDING_SHARE * np.abs(voltage).max():
                 continue
             slope = np.abs(np.diff(voltage)[apart] / np.diff(t)[apart]).max()
             name = f"band of {part.name}, drive of {port.name}"

@@ -6,7 +6,6 @@ import hashlib
 import json
 import math
 import stat
-import warnings
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
@@ -20,6 +19,7 @@ from kc2spice.core.cache import load_or_build
 from kc2spice.core.errors import UsageError, wrong
 from kc2spice.core.progress import StageTimer
 from kc2spice.core.si_prefix_format import format_quantity
+from kc2spice.core.user_warnings import warn_user
 from kc2spice.fem.body_keys import DampingKeys
 from kc2spice.fem.materials import MaterialTable
 from kc2spice.parts.bodies._body_ports import BodyPorts, requires_massless_ports
@@ -470,18 +470,16 @@ def find_full_model(part: Part, scene: Scene, clock: StageTimer) -> LinearModel 
 def full_model_without_scene(part: Part, scene: GovernedScene, clock: StageTimer) -> LinearModel:
     """Return the full model of a body without its scene; warn about neglected losses."""
     if tangent := read_loss_tangent(part):
-        warnings.warn(
+        warn_user(
             f"{part.name}.damping.loss_tangent: this model neglects the loss tangent {tangent:g}, "
             f"because matrices cannot contain a constant dielectric loss; to include this loss, "
-            f"run or export the scene",
-            stacklevel=3,
+            f"run or export the scene"
         )
     if has_complex_constants(part):
-        warnings.warn(
+        warn_user(
             f"{part.name}.damping.model = ieee176: the matrices of {part.name} contain viscous "
             f"damping, because matrices cannot contain a constant loss factor; to include the "
-            f"constant loss factor, run or export the scene",
-            stacklevel=3,
+            f"constant loss factor, run or export the scene"
         )
     kind = part.type
     assert isinstance(kind, BodyModel)

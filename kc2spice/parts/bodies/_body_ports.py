@@ -4,13 +4,24 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Iterable, Iterator, Sequence
-from itertools import filterfalse, product
+from contextlib import suppress
+from itertools import chain, filterfalse, product
 
 import numpy as np
 
-from kc2spice.core.domains import AMBIENT, BASE, HEAT, PORTS, REFERENCES, THERMAL, TRANSLATION
-from kc2spice.core.errors import unknown
+from kc2spice.core.domains import (
+    AMBIENT,
+    BASE,
+    HEAT,
+    PORTS,
+    REFERENCES,
+    SIGNAL,
+    THERMAL,
+    TRANSLATION,
+)
+from kc2spice.core.errors import UsageError, unknown
 from kc2spice.core.naming import list_names
+from kc2spice.netlist.number_and_name_spelling import require_distinct
 from kc2spice.parts.bodies._linear_body_keys import LinearKeysT
 from kc2spice.parts.mechanics._contact_keys import ContactKeys
 from kc2spice.parts.mechanics._contact_surfaces import ContactSurface, TouchablePart
@@ -28,7 +39,11 @@ from kc2spice.scene.scene_classes import (
     Terminal,
     WiredScene,
 )
-from kc2spice.synthesis.terminals import find_reference_pin
+from kc2spice.synthesis.terminals import (
+    INNER_NODE_PATTERN,
+    PERMITTED_PIN_NAMES,
+    find_reference_pin,
+)
 
 # Physical domain of each kind of port that has one pin and shares the reference pin.
 SINGLE_PIN_KINDS = {kind: domain for kind, domain in PORTS.items() if domain.reference}
@@ -89,7 +104,8 @@ class BodyPorts(TouchablePart[LinearKeysT]):
         known = {"ground", *REFERENCES}.union(*map(_list_scene_names, every))
         if self.gives_off_heat(part, scene):
             known |= {HEAT, AMBIENT}
-        _reject_missing_ports(part, sorted(names - known), list_names(every))
+        if missing := sorted(names - known):
+            raise _make_missing_port_error(part, missing[0], every, scene)
         if scene.ports == "declared" and part.declares_ports:
             return every
         used = [p for p in every if p.kind not in SINGLE_PIN_KINDS or names & _list_scene_names(p)]
@@ -113,6 +129,13 @@ class BodyPorts(TouchablePart[LinearKeysT]):
                 floating = minus in find_required_ports(part, scene) - set(part.pins)
                 result.append(Terminal(minus, port.across, port.flow, None if floating else "gnd"))
             shared.add(minus)
+        # If ``scene.ports`` is "all", the list also contains ports that the model omits.
+        # The name of a port that the model omits needs no check.
+        if scene.ports != "all":
+            names = dict.fromkeys(chain.from_iterable(port.terminals for port in ports))
+            require_distinct(
+                list(names), INNER_NODE_PATTERN, where=part.name, expected=PERMITTED_PIN_NAMES
+            )
         for port in ports:
             if port.kind in SINGLE_PIN_KINDS:
                 result.append(Terminal(port.terminals[0], port.across, port.flow))
@@ -215,6 +238,58 @@ def _reject_missing_ports(
     """
     for name in missing:
         raise unknown(f"{part.name} has no such {kind}port", name, known, part.name)
+
+
+def _make_missing_port_error(
+    part: Part, name: str, ports: Sequence[Port], scene: JoinedScene
+) -> UsageError:
+    """Make the error for a missing port of a part, at the key that refers to the port.
+
+    If a pin of another part is joined to the missing port, the error proposes pins of the same
+    kind as this pin.
+    """
+    message = f"{part.name} has no such port"
+    for other in scene.parts.values():
+        for pin, target in other.pins.items():
+            if target == f"{part.name}.{name}":
+                choices = _list_fitting_pins(part, ports, other, pin, scene)
+                error = unknown(
+                    message,
+                    target,
+                    choices,
+                    f"{other.name}.pins.{pin}",
+                    advice=f'write  {pin} = "{choices[0] if choices else GROUND}"',
+                )
+                if not choices:
+                    error.expected = "gnd, or a pin of another part"
+                return error
+    where = part.name if name not in part.pins else f"{part.name}.pins.{name}"
+    for label, probe in scene.probes.items():
+        if probe.of.startswith(f"{part.name}.") and probe.of.endswith(f".{name}"):
+            where = f"probes.{label}.of"
+    return unknown(message, name, list_names(ports), where)
+
+
+def _list_fitting_pins(
+    part: Part, ports: Sequence[Port], other: Part, pin: str, scene: JoinedScene
+) -> list[str]:
+    """List the pins of a body to which a pin of another part may be joined.
+
+    Pins that the body joins to the other part are excluded, because a second join could
+    short-circuit the other part.
+    """
+    pins = [
+        Terminal(name, port.across, port.flow if port.conservative else SIGNAL)
+        for port in ports
+        for name in (port.terminals if port.is_paired else port.terminals[:1])
+    ]
+    if not isinstance(other.type, BodyPorts):  # the pins of a body depend on its joins
+        with suppress(UsageError):
+            terminals = {item.name: item for item in other.type.pins(other, scene)}
+            own = terminals.get(pin)
+            pins = [item for item in pins if own is None or own.fits(item)]
+    joined = {end for end, target in part.pins.items() if target.startswith(f"{other.name}.")}
+    return [f"{part.name}.{item.name}" for item in pins if item.name not in joined]
 
 
 def find_required_ports(part: Part, scene: JoinedScene) -> set[str]:

@@ -10,7 +10,12 @@ from pydantic import Field, model_validator
 
 from kc2spice.core.domains import THERMAL
 from kc2spice.core.quantities import Length, Section, make_invalid_value_error, si
-from kc2spice.parts.bodies._mesh_keys import MeshKeys, Name, Point
+from kc2spice.parts.bodies._mesh_keys import (
+    MeshKeys,
+    Name,
+    Point,
+    reject_point_outside_section,
+)
 from kc2spice.rom.linear_model import Port
 
 Area = Annotated[float, si("m2")]
@@ -213,6 +218,9 @@ class HeatBodyKeys(MeshKeys):
                 None,
                 hint='add for example  materials = { GROUP = "copper" }  with a group of the mesh',
             )
+        for pin, source in self.sources.items():
+            if self.axisymmetric and isinstance(source, HeatSourceKeys):
+                reject_point_outside_section(source.at, f"sources.{pin}.at")
         stray = {name for item in self.interfaces for name in item.between} - set(self.materials)
         if stray:
             raise make_invalid_value_error(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import fnmatch
 import math
-import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from itertools import filterfalse
@@ -22,6 +21,8 @@ from kc2spice.core.mesh_error_descriptions import (
 )
 from kc2spice.core.naming import list_names
 from kc2spice.core.progress import StageTimer
+from kc2spice.core.si_prefix_format import format_quantity
+from kc2spice.core.user_warnings import warn_user
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts.bodies import _body_figures
 from kc2spice.parts.bodies._body_checks import STATE_FACTOR, BodyChecks
@@ -38,6 +39,7 @@ from kc2spice.parts.bodies._varied_keys import list_varied_keys, read_key_values
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.modal_models import compute_resonators
 from kc2spice.scene.checks import Check, Metric
+from kc2spice.scene.net_formation import find_short_circuit
 from kc2spice.scene.part_records import LargestRealPartFrequency, NeglectedEffect
 from kc2spice.scene.scene_classes import BuiltScene, Part, Scene
 from kc2spice.scene.settings import ProbeKeys
@@ -62,11 +64,14 @@ class LinearBody(BodyChecks[LinearKeysT]):
         """Return the metrics of the part, keyed by name."""
         response = compute_impedance(part, waves)
         if response is None:
+            warn_of_zero_voltage(part, build.scene, waves)
             return {}
         from kc2spice.bodies.impedance import analyse_impedance
 
         frequency, z = response
-        result, keys = compute_impedance_metrics(frequency, z), list_varied_keys(part)
+        first = build.get_model_values(part).get("resonance_short_hz")
+        result = compute_impedance_metrics(part.name, frequency, z, first)
+        keys = list_varied_keys(part)
         if not keys or "bvd" not in result:
             return result
         # The sensitivities d ln(metric) / d ln(key) are central differences within the parameter
@@ -87,11 +92,10 @@ class LinearBody(BodyChecks[LinearKeysT]):
                         asdict(analyse_impedance(frequency, 1 / (2j * np.pi * frequency * H)))
                     )
                 except UsageError:
-                    warnings.warn(
+                    warn_user(
                         f"{part.name}.{key.key}: the sensitivity is not computed, because the "
                         f"value {end:g} moves the resonance out of the band; use a wider "
-                        f"frequency range",
-                        stacklevel=2,
+                        f"frequency range"
                     )
                     break
             if len(read) < 2:
@@ -285,14 +289,18 @@ def _read_count(part: Part, key: str) -> int:
     return int(value)
 
 
-def compute_impedance_metrics(frequency: np.ndarray, impedance: np.ndarray) -> dict[str, Any]:
+def compute_impedance_metrics(
+    name: str, frequency: np.ndarray, impedance: np.ndarray, first: float | None = None
+) -> dict[str, Any]:
     """Return the metrics of an impedance [Ohm], such as its resonance frequency.
 
     The metrics are the values that an impedance analyser would derive, and the impedance versus
     frequency. Without a resonance in the frequency range, the impedance versus frequency is the
-    only metric. ``frequency`` [Hz] and ``impedance`` [Ohm] are arrays of shape (frequencies,).
+    only metric, and a warning states the reason. ``frequency`` [Hz] and ``impedance`` [Ohm] are
+    arrays of shape (frequencies,). ``name`` is the name of the part, and ``first`` [Hz] is its
+    lowest resonance if known.
     """
-    from kc2spice.bodies.impedance import analyse_impedance
+    from kc2spice.bodies.impedance import MIN_SAMPLES, analyse_impedance
 
     curve: dict[str, Any] = {
         "frequency_hz": Metric(frequency.tolist(), "Hz"),
@@ -300,8 +308,35 @@ def compute_impedance_metrics(frequency: np.ndarray, impedance: np.ndarray) -> d
     }
     try:
         return curve | _convert_to_metrics(asdict(analyse_impedance(frequency, impedance)))
-    except UsageError:  # the frequency range contains no resonance
+    except UsageError as error:  # the frequency range contains no resonance
+        reason = error.message
+        if frequency.size < MIN_SAMPLES:
+            reason = f"they require at least {MIN_SAMPLES} frequencies; raise analysis.points"
+        elif first is not None and not frequency[0] <= first <= frequency[-1]:
+            above = first > frequency[-1]
+            reason = (
+                f"the first resonance, near {format_quantity(first, 'Hz')}, is "
+                f"{'above' if above else 'below'} the frequency range; "
+                f"{'raise analysis.stop' if above else 'lower analysis.start'}"
+            )
+        warn_user(f"{name}: the metrics of its resonance are missing: {reason}")
         return curve
+
+
+def warn_of_zero_voltage(part: Part, scene: Scene, waves: Waveforms) -> None:
+    """Warn about an ac analysis in which voltage and current of a part are zero.
+
+    If the part is short-circuited, a warning about the short circuit is already printed.
+    """
+    if find_short_circuit(part, scene):
+        return
+    waveforms = [waves.data.get(f"{part.name}.{word}") for word in ("voltage", "current")]
+    recorded = [wave for wave in waveforms if wave is not None]
+    if "frequency" in waves and recorded and not any(wave.any() for wave in recorded):
+        warn_user(
+            f"{part.name}: the metrics of its impedance are missing: voltage and current are zero "
+            f"at all frequencies; connect a source with the key `ac` to {part.name}"
+        )
 
 
 def _convert_to_metrics(figures: Mapping[str, Any]) -> dict[str, Any]:

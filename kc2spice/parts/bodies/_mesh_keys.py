@@ -35,6 +35,24 @@ MESH_FIELD = Field(  # definition of the key ``mesh`` in part types that require
 )
 
 
+# Hint for directions along y in an axisymmetric body.
+HEIGHT_HINT = (
+    "{action}: in an axisymmetric body, z is the height, even if the mesh file contains the height "
+    "as y"
+)
+
+
+def reject_point_outside_section(point: Point | None, key: str) -> None:
+    """Reject a point of an axisymmetric body whose second coordinate is not zero."""
+    if point is not None and point[1] != 0:
+        raise make_invalid_value_error(
+            "a point of an axisymmetric body has no y coordinate",
+            "[radius, 0, height]",
+            key=key,
+            hint=HEIGHT_HINT.format(action="write the height as the third coordinate"),
+        )
+
+
 class GroupKeys(Section):
     """Keys of a group of entities in a CAD file.
 
@@ -142,7 +160,8 @@ class MeshKeys(FieldKeys):
     axisymmetric: bool = Field(
         False,
         description=(
-            "Whether the mesh is the half section of a body of revolution, in which x is the radius"
+            "Whether the mesh is the half section of a body of revolution; in all keys, x is the "
+            "radius and z the height, even if the mesh file contains the height as y"
         ),
     )
     groups: dict[str, GroupKeys] = Field(default_factory=dict)

@@ -26,8 +26,10 @@ from kc2spice.core.errors import UsageError, wrong
 from kc2spice.core.figure import Curve, Figure, FileWriter, Panel, Shape
 from kc2spice.core.mesh_error_descriptions import MESH_LIMIT_NAME, list_limited_errors
 from kc2spice.core.progress import StageTimer
+from kc2spice.core.quantities import USUAL_Q_FACTOR
 from kc2spice.core.si_prefix_format import format_quantity
 from kc2spice.core.waveforms import Waveforms
+from kc2spice.fem.body_keys import DampingKeys
 from kc2spice.fem.materials import Material, advise_missing_ceramic_keys
 from kc2spice.parts.bodies._body_figures import draw_deformed_body, draw_modes
 from kc2spice.parts.bodies._linear_body_keys import FieldKeys, FieldKeysT
@@ -42,7 +44,7 @@ from kc2spice.physics.conductors import OPTIONAL_HEAT_PINS
 from kc2spice.rom.linear_model import LinearModel, Port
 from kc2spice.scene.checks import Check, Metric, RunEnergyBalance
 from kc2spice.scene.part_records import NeglectedEffect
-from kc2spice.scene.plausibility import check_layers
+from kc2spice.scene.plausibility import UnusualValueError, check_layers
 from kc2spice.scene.scene_classes import BuiltScene, DeclaredScene, GovernedScene, Part, Scene
 
 if TYPE_CHECKING:
@@ -54,6 +56,8 @@ _COARSE_MESH_ADVICE = (
     "refine the mesh by the key `refine`, or set `error_budget`, which refines all settings"
 )
 _UNRESOLVED_ADVICE = "the model is wrong above the limit: lower the frequency, or refine the mesh"
+# smallest plausible share of the strain energy in a ceramic part of a body
+MIN_ENERGY_SHARE = 0.01
 MAX_DRAWN_MODES = 6  # number of drawn modes, starting from the lowest
 _SINGULARITY_ADVICE = (
     "check the stress in the VTU file: at clamp edges and re-entrant corners, the computed stress "
@@ -95,6 +99,31 @@ class RecoveredFields:
         if not limited:
             return max(stresses, key=lambda item: item.value)
         return max(limited, key=lambda item: item.value / (item.limit or 1.0))
+
+
+def check_q_factor(
+    name: str, damping: DampingKeys, materials: Iterable[Material]
+) -> Iterator[UsageError]:
+    """Yield a warning if the Q factor of a body far exceeds that of its materials.
+
+    The reciprocal of a body's Q factor is the mean of the reciprocal Q factors of its materials,
+    weighted by strain energy. A material with the share w of the strain energy and the Q factor Q
+    therefore limits the Q factor of the body to Q / w. Materials without a known Q factor, such as
+    quartz and silicon, set no limit.
+    """
+    q_factors = [(one.quality, one.name) for one in materials if one.quality is not None]
+    key = damping.stated_loss_key
+    if not q_factors or key in ("", "per_material"):
+        return
+    lowest, material = min(q_factors)
+    limit, q_factor = lowest / MIN_ENERGY_SHARE, 0.5 / damping.zeta
+    if limit < q_factor < USUAL_Q_FACTOR.high:
+        yield UnusualValueError(
+            f"more than {1 / MIN_ENERGY_SHARE:g} times the Q factor of {material}, {lowest:g}",
+            where=f"{name}.damping.{key}",
+            got=f"a Q factor of {q_factor:g}",
+            hint=f"a plausible Q factor of this body is at most {limit:g}",
+        )
 
 
 class MeshedBody(SoundingBody[FieldKeysT]):
@@ -462,10 +491,18 @@ class BondedBody(MeshedBody[FieldKeysT]):
         yield from super().problems(part, scene)
         layers, width = getattr(part.keys, "layers", ()), getattr(part.keys, "width", None)
         result = [
-            (width or layer.diameter, layer.thickness, block.material.is_piezoelectric)
+            (
+                width or layer.diameter,
+                layer.thickness,
+                block.material.is_piezoelectric,
+                getattr(layer, "electrodes", None),
+            )
             for layer, block in zip(layers, self.make_bonded_blocks(part).blocks, strict=False)
         ]
         yield from check_layers(f"{part.name}.layers", result, plate=width is None)
+        blocks = self.make_bonded_blocks(part)
+        materials = [block.material for block in blocks.blocks]
+        yield from check_q_factor(part.name, blocks.damping, materials)
 
     def outline(self, part: Part[FieldKeysT], scene: Scene) -> Iterator[Shape]:
         """Yield the side view of the bonded blocks; the top is at height zero.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from abc import abstractmethod
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
@@ -16,6 +15,7 @@ from kc2spice.core.domains import ACOUSTIC
 from kc2spice.core.figure import Figure, FileWriter
 from kc2spice.core.progress import StageTimer
 from kc2spice.core.si_prefix_format import format_quantity
+from kc2spice.core.user_warnings import warn_user
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts.acoustics._acoustic_part import AcousticPart
 from kc2spice.parts.acoustics._fluids import FluidKeys
@@ -34,6 +34,9 @@ if TYPE_CHECKING:
     from kc2spice.parts.bodies._face_sound_levels import FaceLevelEffects
 
 MEAN_CAPTION = "Mean displacement of each radiating face along its outward normal."
+# largest radius of a piston, relative to the radius of a circle with the area of its face, without
+# a warning; the rim of a disc can increase the radius by a few percent
+MAX_RADIUS_RATIO = 1.1
 LEVEL_SOURCES = ("kc2spice.bodies", "kc2spice.fem", "kc2spice.linalg", "kc2spice.rom")
 
 
@@ -193,12 +196,41 @@ class SoundingBody(LinearBody[FieldKeysT]):
         result = super().build(part, scene, clock, full)
         facing = {} if full else self.facing_fluids(part, scene)
         if facing:
+            self._warn_of_larger_radiators(part, scene, result)
             for port, levels in self.estimate_level_effects_by_port(part, scene).items():
                 name = f"{part.name}.{port}"
                 text = describe_piston_difference(name, facing[port], levels)
                 if text and not _states_piston_motion(facing[port].names, scene):
-                    warnings.warn(text, stacklevel=2)
+                    warn_user(text)
         return result
+
+    def _warn_of_larger_radiators(
+        self, part: Part[FieldKeysT], scene: Scene, model: LinearModel | None
+    ) -> None:
+        """Warn about each radiating piston that is larger than the face to which it is joined.
+
+        Faces that several parts drive are not compared with the piston.
+        """
+        from kc2spice.bodies.solid_models import get_area_key
+
+        if model is None or self.has_mirror_planes(part):
+            return
+        for port, facing in self.facing_fluids(part, scene).items():
+            keys, area = facing.radiation, model.facts.get(get_area_key(port))
+            pins = scene.list_joined_pins(part.name, port)
+            others = {name for name, _ in pins} - set(facing.names)
+            moving = any(not isinstance(scene.parts[name].type, AcousticPart) for name in others)
+            if keys is None or not area or keys.shape == "sphere" or moving:
+                continue
+            radius, face_radius = keys.surface_radius, float(np.sqrt(area / np.pi))
+            if radius > MAX_RADIUS_RATIO * face_radius:
+                key = "area" if keys.radius is None else "radius"
+                warn_user(
+                    f"{facing.names[0]}.{key}: the radiating piston, with a radius of "
+                    f"{format_quantity(radius, 'm')}, is larger than {part.name}.{port}, whose "
+                    f"area is that of a circle with a radius of {format_quantity(face_radius, 'm')}"
+                    f": lower {key}, unless another surface radiates the sound"
+                )
 
     def list_neglected_effects(
         self, part: Part[FieldKeysT], scene: Scene

@@ -65,6 +65,7 @@ from kc2spice.fem.solid import Solid, compute_node_shares
 from kc2spice.parts.bodies._body_figures import draw_edges
 from kc2spice.parts.bodies._body_model import hash_file
 from kc2spice.parts.bodies._mesh_keys import (
+    HEIGHT_HINT,
     MESH_FIELD,
     MeshFile,
     MeshKeys,
@@ -74,8 +75,9 @@ from kc2spice.parts.bodies._mesh_keys import (
     find_mesh_problems,
     mesh_path,
     read_groups,
+    reject_point_outside_section,
 )
-from kc2spice.parts.bodies._meshed_bodies import MeshedBody
+from kc2spice.parts.bodies._meshed_bodies import MeshedBody, check_q_factor
 from kc2spice.parts.bodies._neglected_effects import Envelope, estimate_surface_and_air_mass
 from kc2spice.physics.conductors import OPTIONAL_HEAT_PINS
 from kc2spice.rom.linear_model import Port
@@ -108,7 +110,7 @@ _REFERENCE_NAMES = ("cathode", "gnd", "ground")
 class SupportKeys(Section):
     """Keys of a support: a mesh group with zero displacement along some axes.
 
-    In an axisymmetric body, ``x`` is the radial axis.
+    In an axisymmetric body, ``x`` is the radial axis and ``z`` the axis of revolution.
     """
 
     group: str = Field(examples=['"top"'], description="Mesh group whose nodes are clamped")
@@ -116,7 +118,7 @@ class SupportKeys(Section):
         "xyz",
         description=(
             "Axes along which the clamped nodes cannot move; in an axisymmetric mesh, x "
-            "is the radial axis"
+            "is the radial axis, and z the axis of revolution"
         ),
     )
 
@@ -134,7 +136,11 @@ class PortKeys(Section):
     """
 
     name: Name = Field(
-        examples=['"tip"'], description="Name of the body's port, which is also the name of its pin"
+        examples=['"tip"'],
+        description=(
+            "Name of the body's port, which is also the name of its pin; names of internal nodes, "
+            "such as p1 and q1, are reserved"
+        ),
     )
     group: str | None = Field(None, description="Mesh group on which the port acts")
     at: Point | None = Field(
@@ -473,6 +479,8 @@ class BodyKeys(MeshKeys):
                 "electrodes, each with a group of faces, or ports, each with a group or a point",
                 hint=f"add for example  {_write_terminal_example(self, info)}",
             )
+        if self.axisymmetric:
+            _reject_axes_outside_section(self)
         names = Counter([*list_names(self.ports), *self.electrodes])
         twice = [name for name, count in names.items() if count > 1]
         if twice:
@@ -482,6 +490,44 @@ class BodyKeys(MeshKeys):
                 hint=f"rename one of the ports or electrodes {twice[0]}",
             )
         return self
+
+
+def _reject_axes_outside_section(keys: BodyKeys) -> None:
+    """Reject directions of an axisymmetric body that its mesh does not contain.
+
+    The accelerated support of an axisymmetric body moves only along the axis of revolution.
+    """
+    for number, port in enumerate(keys.ports):
+        reject_point_outside_section(port.at, f"ports.{number}.at")
+        if port.kind not in ("mean", "base"):
+            continue
+        radius, normal, _ = port.direction
+        if normal or (radius and port.kind == "base"):
+            raise make_invalid_value_error(
+                "a port of an axisymmetric body cannot move along this axis",
+                "z" if port.kind == "base" else "x (radius), z (height) or [radius, 0, height]",
+                key=f"ports.{number}.axis",
+                hint=HEIGHT_HINT.format(action='write  axis = "z"'),
+            )
+    for number, support in enumerate(keys.fixed):
+        if isinstance(support, SupportKeys) and "y" in support.axes:
+            if set(support.axes) == set("xyz"):
+                continue
+            axes = support.axes.replace("z", "").replace("y", "z")
+            raise make_invalid_value_error(
+                "an axisymmetric body has no displacement along y",
+                "x (radius), z (height), xz or xyz",
+                key=f"fixed.{number}.axes",
+                hint=HEIGHT_HINT.format(action=f'write  axes = "{axes}"'),
+            )
+    for group, vector in keys.poling.items():
+        if isinstance(vector, tuple) and vector[1]:
+            raise make_invalid_value_error(
+                "the poling direction is not in the plane of the axisymmetric mesh",
+                "[radius, 0, height]",
+                key=f"poling.{group}",
+                hint=HEIGHT_HINT.format(action="write for example  [0, 0, 1]"),
+            )
 
 
 def _write_terminal_example(keys: BodyKeys, info: ValidationInfo) -> str:
@@ -529,11 +575,17 @@ def build_fe_model(
         result = read_groups(keys, home, keys.split_count)
         solid = _make_solid(keys, result, _read_polings(keys, home, result))
         assembled = fe.make_damped_model(solid, _make_boundary_conditions(keys, result, solid))
-    axes = ("radius", "height") if keys.axisymmetric else "xyz"
-    sides = zip(axes, 1e3 * np.ptp(result.mesh.p, axis=1), strict=True)
     facts = dict(assembled.model.facts)
-    for axis, side in sides:
-        facts[f"extent_{axis}_mm"] = float(side)
+    sides = 1e3 * np.ptp(result.mesh.p, axis=1)
+    if keys.axisymmetric:
+        inner, outer = 1e3 * result.mesh.p[0].min(), 1e3 * result.mesh.p[0].max()
+        if inner > 1e-9 * outer:  # otherwise, the body has no bore
+            facts["extent_inner_radius_mm"] = float(inner)
+        facts["extent_outer_radius_mm"] = float(outer)
+        facts["extent_height_mm"] = float(sides[1])
+    else:
+        for axis, side in zip("xyz", sides, strict=True):
+            facts[f"extent_{axis}_mm"] = float(side)
     return replace(assembled, model=assembled.model.copy_with(facts=facts))
 
 
@@ -828,6 +880,9 @@ class Body(MeshedBody[BodyKeys]):
         except UsageError as error:
             yield error
         yield from find_mesh_problems(part, scene)
+        with suppress(UsageError):  # another check reports an invalid material
+            materials = [find_material(item, k) for k, item in part.keys.materials.items()]
+            yield from check_q_factor(part.name, part.keys.damping, materials)
 
     def notes(self, part: Part[BodyKeys], scene: Scene) -> Iterator[str | NeglectedEffect]:
         """Yield the mesh size, the assumptions of the model and the neglected effects."""

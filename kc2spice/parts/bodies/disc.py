@@ -16,6 +16,7 @@ layer.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from itertools import accumulate, chain, pairwise
 from typing import Any, ClassVar, Literal
@@ -24,7 +25,7 @@ from pydantic import Field, model_validator
 
 from kc2spice.bodies.solid_models import Block, BondedBlocks, Box, list_outer_faces
 from kc2spice.bodies.undamped_models import FiniteElementModel
-from kc2spice.core.errors import wrong
+from kc2spice.core.errors import UsageError, wrong
 from kc2spice.core.key_errors import validate_table
 from kc2spice.core.quantities import (
     Length,
@@ -40,6 +41,7 @@ from kc2spice.fem.materials import advise_missing_ceramic_keys, find_material
 from kc2spice.parts.bodies._linear_body_keys import FieldKeys
 from kc2spice.parts.bodies._meshed_bodies import BondedBody, make_missing_ceramic_error
 from kc2spice.scene.parttype import register_part_type
+from kc2spice.scene.plausibility import MAX_OVERHANG
 from kc2spice.scene.scene_classes import GovernedScene, Part
 
 # Number of mesh cells along the largest radius or half the height, for ``mesh.refine = 1``.
@@ -105,15 +107,10 @@ class DiscLayer(Section):
         return self.electrodes or self.diameter
 
     @model_validator(mode="after")
-    def _require_fitting_electrodes(self) -> DiscLayer:
-        """Reject electrodes that do not fit on the layer."""
-        largest, ring = self.electrode_diameter, self.feedback
-        if largest > self.diameter * (1 + 1e-9):
-            raise make_invalid_value_error(
-                f"an electrode is larger than its layer, whose diameter is {self.diameter:g} m",
-                None,
-                hint=f"lower electrodes to at most {self.diameter:g} m",
-            )
+    def _require_fitting_feedback(self) -> DiscLayer:
+        """Reject a feedback electrode that does not fit on the layer."""
+        ring = self.feedback
+        largest = min(self.electrode_diameter, self.diameter)
         if ring is not None:
             inner, outer = ring.inner / 2 - ring.gap, ring.outer / 2 + ring.gap
             filled = inner <= 0 and outer >= largest / 2
@@ -121,10 +118,11 @@ class DiscLayer(Section):
                 raise make_invalid_value_error(
                     (
                         "the feedback electrode does not fit: inner must be less than outer, and "
-                        f"outer at most {largest:g} m, and a part of the main electrode must remain"
+                        f"outer at most {format_quantity(largest, 'm')}, and a part of the main "
+                        "electrode must remain"
                     ),
                     None,
-                    hint=f"lower feedback.outer below {largest:g} m",
+                    hint=f"lower feedback.outer below {format_quantity(largest, 'm')}",
                 )
         return self
 
@@ -177,20 +175,56 @@ class DiscKeys(FieldKeys):
         return max(layer.diameter for layer in self.layers)
 
     @model_validator(mode="after")
+    def _require_fitting_electrodes(self) -> DiscKeys:
+        """Reject electrodes that are larger than their layer."""
+        for i, layer in enumerate(self.layers):
+            if layer.electrode_diameter <= layer.diameter * (1 + 1e-9):
+                continue
+            diameter = format_quantity(layer.diameter, "m")
+            plate = self._find_plate_diameter()
+            if plate is not None and layer.diameter > MAX_OVERHANG * plate:
+                size = format_quantity(plate, "m")
+                raise make_invalid_value_error(
+                    f"this layer is wider than its plate, whose diameter is {size}, and its "
+                    f"electrodes, {format_quantity(layer.electrode_diameter, 'm')}, are larger "
+                    "than the layer",
+                    f"a diameter of at most {size}, with electrodes of at most this diameter",
+                    key=f"layers.{i}.diameter",
+                    hint=f'write  diameter = "{size}"  and  electrodes = "{size}"  in this layer',
+                )
+            raise make_invalid_value_error(
+                f"the electrodes are larger than their layer, whose diameter is {diameter}",
+                f"at most {diameter}",
+                key=f"layers.{i}.electrodes",
+                hint=f"lower layers[{i}].electrodes to {diameter}",
+            )
+        return self
+
+    def _find_plate_diameter(self) -> float | None:
+        """Return the diameter [m] of the widest layer without piezoelectricity, or None."""
+        diameters = []
+        for layer in self.layers:
+            with suppress(UsageError):  # another check reports an invalid material
+                if not find_material(layer.material).is_piezoelectric:
+                    diameters.append(layer.diameter)
+        return max(diameters, default=None)
+
+    @model_validator(mode="after")
     def _require_fitting_support(self) -> DiscKeys:
         """Reject a support or a centre port that is larger than the disc."""
-        widest, top = self.largest_diameter, self.layers[-1].diameter
-        if isinstance(self.support, KnifeEdgeSupport) and self.support.node > widest:
+        widest = format_quantity(self.largest_diameter, "m")
+        top, top_text = self.layers[-1].diameter, format_quantity(self.layers[-1].diameter, "m")
+        if isinstance(self.support, KnifeEdgeSupport) and self.support.node > self.largest_diameter:
             raise make_invalid_value_error(
-                f"support: the nodal circle is outside of the body, whose diameter is {widest:g} m",
+                f"support: the nodal circle is outside of the body, whose diameter is {widest}",
                 None,
-                hint=f"lower the key `support.node` below {widest:g} m",
+                hint=f"lower the key `support.node` below {widest}",
             )
         if self.centre is not None and self.centre > top * (1 + 1e-9):
             raise make_invalid_value_error(
-                f"centre: the port is wider than the top layer, whose diameter is {top:g} m",
+                f"centre: the port is wider than the top layer, whose diameter is {top_text}",
                 None,
-                hint=f"lower the key `centre` to at most {top:g} m",
+                hint=f"lower the key `centre` to at most {top_text}",
             )
         return self
 

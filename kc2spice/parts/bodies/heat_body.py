@@ -27,7 +27,6 @@ Temperatures are differences from the temperature of the pin ``ambient``.
 from __future__ import annotations
 
 import json
-import warnings
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
@@ -52,6 +51,7 @@ from kc2spice.core.figure import Curve, Figure, FileWriter, Panel, choose_time_u
 from kc2spice.core.mesh_error_descriptions import MESH_LIMIT_NAME
 from kc2spice.core.naming import list_names
 from kc2spice.core.progress import StageTimer
+from kc2spice.core.user_warnings import warn_user
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem import mesh_file
 from kc2spice.fem.heat_conduction import (
@@ -629,11 +629,10 @@ def _reduce_with_peak_fallback(
     except SimulationError:
         if norm == "peak":
             raise
-    warnings.warn(
-        f"{part.name}: at frequencies with small temperatures, rounding errors exceed the "
-        "tolerance, so the error estimate of each pin is relative to the largest temperature of "
-        "that pin",
-        stacklevel=3,
+    warn_user(
+        f"{part.name}: at frequencies where the temperature rise is small, rounding errors exceed "
+        "the tolerance, so the error estimate of each pin is relative to the largest temperature "
+        "rise of that pin"
     )
     return reduce("peak", PEAK_TOLERANCE_SHARE)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-import warnings
 from collections.abc import Iterator, Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
@@ -18,6 +17,7 @@ from kc2spice.core.domains import ELECTRICAL, TRANSLATION
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Shape
 from kc2spice.core.quantities import Count, Section, Time, Voltage, make_invalid_value_error, si
+from kc2spice.core.user_warnings import warn_user
 from kc2spice.core.waveforms import Waveforms, integrate_cumulatively
 from kc2spice.fem.materials import find_material
 from kc2spice.parts.bodies._body_model import (
@@ -27,7 +27,7 @@ from kc2spice.parts.bodies._body_model import (
 )
 from kc2spice.parts.bodies._body_ports import find_required_ports
 from kc2spice.parts.bodies._linear_body_keys import FieldKeys
-from kc2spice.parts.bodies._meshed_bodies import MeshedBody
+from kc2spice.parts.bodies._meshed_bodies import MeshedBody, check_q_factor
 from kc2spice.parts.bodies._neglected_effects import Envelope, compute_disc_air_mass
 from kc2spice.parts.electronics.netlist import make_driver_table
 from kc2spice.parts.mechanics._contact_keys import ContactKeys
@@ -280,11 +280,11 @@ class PiezoStack(MeshedBody[PiezoStackKeys]):
                 hint=f"lower drive.start below {scene.stop_time:g} s",
             )
         if drive and keys.electrical != "driven":
-            warnings.warn(
+            warn_user(
                 f'{name}: the key `drive` has no effect with electrical = "{keys.electrical}": '
-                f'write  {name}.electrical = "driven"',
-                stacklevel=2,
+                f'write  {name}.electrical = "driven"'
             )
+        yield from check_q_factor(name, keys.damping, [keys.ceramic])
         reason = "multilayer ceramics are sintered from 0.1 mm to 0.1 m"
         wide = "side" if keys.diameter is None else "diameter"
         yield from check_range(f"{name}.{wide}", 2 * max(keys.half_widths), "m", 1e-4, 0.1, reason)
@@ -315,13 +315,21 @@ class PiezoStack(MeshedBody[PiezoStackKeys]):
             names = ports or tuple(list_ring_names(len(radii)))
             rings = list(map(partial(_read_ring_number, part), names))
             distance = tuple(radii[rings].tolist())
-            return ContactSurface(part.name, names, distance, sectors=SECTORS, modulus=modulus)
+            return ContactSurface(
+                part.name,
+                names,
+                distance,
+                sectors=SECTORS,
+                modulus=modulus,
+                half_width=min(part.keys.half_widths),
+            )
         return ContactSurface(
             part.name,
             (PATCH_PORT,),
             (0.0,),
             sectors=SECTORS,
             patch=float(shape.nodes[-1]),
+            half_width=min(part.keys.half_widths),
             compliance=partial(_find_compliance, part),
             pace=part.keys.damping.beta,
             modulus=modulus,

@@ -18,7 +18,7 @@ from abc import abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from pydantic import Field
@@ -30,15 +30,21 @@ from kc2spice.core.naming import list_names
 from kc2spice.core.quantities import Section, Voltage
 from kc2spice.core.si_prefix_format import format_quantity
 from kc2spice.core.untrusted_files import make_identifier
-from kc2spice.core.waveforms import Waveforms
+from kc2spice.core.waveforms import Waveforms, average_over_window, integrate_cumulatively
 from kc2spice.netlist.circuit import Circuit, Element, Item, Param, Parameters, Pin
 from kc2spice.netlist.number_and_name_spelling import LEAK_RATE, format_comment
 from kc2spice.netlist.scale_factors import abbreviate_number
-from kc2spice.netlist.shared_cards import attach_comments
+from kc2spice.netlist.shared_cards import (
+    STOP_COMMENT,
+    attach_comments,
+    list_range_conditions,
+    write_condition_stops,
+)
 from kc2spice.netlist.subcircuit_library import Header, Subcircuit
 from kc2spice.parts.datasheet._stated_values import Relation
 from kc2spice.physics.conductors import HEAT_TERMINALS, OPTIONAL_HEAT_PINS, is_heated
 from kc2spice.physics.loss_heat import add_loss_heat, list_heat_vectors
+from kc2spice.scene.checks import Check, RunEnergyBalance
 from kc2spice.scene.part_records import EquilibriumConditions, NeglectedEffect, PartResult
 from kc2spice.scene.scene_classes import (
     BuiltScene,
@@ -59,7 +65,15 @@ from kc2spice.synthesis.heat_sources import (
     write_heat_source,
 )
 
+if TYPE_CHECKING:
+    from kc2spice.rom.linear_model import LinearModel
+
 TWO_PI = 2 * math.pi
+MAX_BALANCE_ERROR = 0.02  # largest permitted energy error, relative to the energy exchanged
+# Smallest peak-to-peak voltage [V] of a part whose energy balance is checked after a run.
+# The value is the default ``vntol`` of ngspice.
+SMALLEST_VOLTAGE = 1e-6
+RATING_ADVICE = "the data sheet does not permit this voltage: lower the drive"
 
 
 class PartNumberKeys(Section):
@@ -80,7 +94,8 @@ class RatedKeys(PartNumberKeys):
         None,
         gt=0,
         description=(
-            "Largest permitted voltage between the pins; by default the voltage is not checked"
+            "Largest permitted voltage between the pins; a run warns about a higher voltage. By "
+            "default the voltage is not checked"
         ),
     )
 
@@ -159,12 +174,15 @@ class ResonatorNetlist:
     """Netlist parameters of a resonator, and expressions of its circuit elements.
 
     The expressions of the circuit elements contain the netlist parameters. ``modes`` contains the
-    suffix of the element names for each mode.
+    suffix of the element names for each mode. ``conditions`` contains expressions that are
+    finite only for valid parameters, keyed by words for the error message of the simulator.
+    ``conditions`` does not contain the ranges of ``params``, which the netlist checks in addition.
     """
 
     params: tuple[Param, ...]
     constants: Mapping[str, str]
     modes: tuple[str, ...]
+    conditions: Mapping[str, str]
 
 
 class PartWithPartNumber(PartType[KeysT]):
@@ -279,20 +297,8 @@ class ResonatorPart(PartWithPartNumber[KeysT]):
 
     def law(self, part: Part[KeysT], build: BuiltScene) -> laws.Equations:
         """Return the part's law: its model equations, solved by kc2spice without ngspice."""
-        from kc2spice.rom.linear_model import LinearModel, Port  # loads slowly
-
-        circuit, n, (plus, minus) = self.circuit(part, build.scene), part.name, self.ends
-        ones = np.ones((len(circuit.fs), 1))
-        model = LinearModel(
-            M=np.diag(circuit.lm),
-            E=np.diag(circuit.rm),
-            K=np.diag(1 / np.array(circuit.cm)),
-            B=ones,
-            C=ones.T,
-            D=np.array([[circuit.c0]]),
-            ports=(Port(plus, "electrical", pins=self.ends),),
-            name=n,
-        )
+        n, (plus, minus) = part.name, self.ends
+        model = self._make_linear_model(part, build)
         body = laws.SecondOrderBody(n, model, (laws.LawPort(plus, "electrical", minus),))
         results = {
             f"{n}.voltage": laws.subtract_waves(f"{n}.{plus}", f"{n}.{minus}"),
@@ -301,14 +307,95 @@ class ResonatorPart(PartWithPartNumber[KeysT]):
         result = laws.Equations((body,), tuple((end, f"{n}.{end}") for end in self.ends), results)
         return add_loss_heat(result, body) if is_heated(part, build.scene) else result
 
+    def _make_linear_model(self, part: Part[KeysT], build: BuiltScene) -> LinearModel:
+        """Return the circuit as a linear model with one electrical port.
+
+        The unknowns are the charges of the motional branches.
+        """
+        from kc2spice.rom.linear_model import LinearModel, Port  # loads slowly
+
+        circuit = self.circuit(part, build.scene)
+        ones = np.ones((len(circuit.fs), 1))
+        return LinearModel(
+            M=np.diag(circuit.lm),
+            E=np.diag(circuit.rm),
+            K=np.diag(1 / np.array(circuit.cm)),
+            B=ones,
+            C=ones.T,
+            D=np.array([[circuit.c0]]),
+            ports=(Port(self.ends[0], "electrical", pins=self.ends),),
+            name=part.name,
+        )
+
+    def checks(
+        self, part: Part[KeysT], build: BuiltScene, waves: Waveforms
+    ) -> Iterator[Check | RunEnergyBalance]:
+        """Yield the checks of the part after a run: its voltage and its energy balance."""
+        name, voltage = part.name, waves.data.get(f"{part.name}.voltage")
+        if voltage is None:
+            return
+        rated = getattr(part.keys, "rated_voltage", None)
+        if rated is not None:
+            largest, label = float(np.abs(voltage).max()), f"peak voltage of {name}"
+            yield Check(
+                f"rating of {name}", largest, rated, "V", RATING_ADVICE, "warn", label=label
+            )
+        moves = "time" in waves and float(np.ptp(voltage)) > SMALLEST_VOLTAGE
+        if moves and f"{name}.current" in waves:
+            yield self._balance_energy(part, build, waves)
+
+    def _balance_energy(
+        self, part: Part[KeysT], build: BuiltScene, waves: Waveforms
+    ) -> RunEnergyBalance:
+        """Return the energy balance of the part in a transient.
+
+        The exact charge is the response of the circuit to the recorded voltage. The losses are the
+        work of the voltage on the exact charge minus the increase of the stored energy.
+        """
+        from kc2spice.rom.modal_models import compute_resonators, simulate_resonators
+
+        # imported here, because the module loads scipy
+        time, voltage = waves["time"], waves[f"{part.name}.voltage"]
+        current = waves[f"{part.name}.current"]
+        model = compute_resonators(self._make_linear_model(part, build))
+        assert model is not None
+        outputs, stored = simulate_resonators(model, time, voltage[:, None])
+        exact = outputs[:, 0]
+        error = integrate_cumulatively(current, time) + exact[0] - exact
+        # Each jump of the current adds a constant error to the charge, the integral of the current.
+        # The mean charge error during a period of the slowest mode is therefore subtracted.
+        period = 1 / min(self.circuit(part, build.scene).fs)
+        error -= average_over_window(error, time, period)
+        exact_work = integrate_cumulatively(voltage, exact)
+        work = integrate_cumulatively(voltage * current, time)
+        entries = {
+            "electrical work": float(work[-1]),
+            "stored": float(stored[-1]),
+            "damped": float(exact_work[-1] + stored[0] - stored[-1]),
+        }
+        return RunEnergyBalance(
+            entries,
+            float(np.abs(work - exact_work).max()),
+            float(integrate_cumulatively(np.abs(voltage * current), time)[-1]),
+            MAX_BALANCE_ERROR,
+            exact={f"charge of {part.name}": (exact + error, exact)},
+        )
+
     def metrics(
         self, part: Part[KeysT], build: BuiltScene, waves: Waveforms
     ) -> Mapping[str, object]:
         """Return the metrics of the part, keyed by name."""
-        from kc2spice.parts.bodies._linear_body import compute_impedance, compute_impedance_metrics
+        from kc2spice.parts.bodies._linear_body import (
+            compute_impedance,
+            compute_impedance_metrics,
+            warn_of_zero_voltage,
+        )
 
         response = compute_impedance(part, waves)
-        return {} if response is None else compute_impedance_metrics(*response)
+        if response is None:
+            warn_of_zero_voltage(part, build.scene, waves)
+            return {}
+        return compute_impedance_metrics(part.name, *response)
 
     def figures(self, part: Part[KeysT], build: BuiltScene, waves: Waveforms) -> Iterator[Figure]:
         """Yield the figures of the part for the report."""
@@ -335,8 +422,8 @@ class ResonatorPart(PartWithPartNumber[KeysT]):
         yield NeglectedEffect("further modes", "the data sheet states none", "not estimated")
         yield NeglectedEffect(
             "dielectric loss",
-            "c0 is an ideal capacitance",
-            "tan delta, relative to the admittance of c0",
+            "the clamped capacitance c0 has no loss",
+            "the loss current that is missing is tan delta times the current through c0",
         )
         yield NeglectedEffect(
             "nonlinearity and temperature", "small-signal model at one temperature", "not estimated"
@@ -356,6 +443,8 @@ def _list_cards(content: ResonatorNetlist, plus: str, minus: str) -> Iterator[It
     """
     for name, text in content.constants.items():
         yield Parameters({name: f"{{{text}}}"})
+    conditions = list_range_conditions(content.params) | dict(content.conditions)
+    yield from attach_comments((STOP_COMMENT, *write_condition_stops(conditions, minus)))
     yield Element.from_words("Vmeter", plus, "inner", "0")
     yield Element.from_words("C0", "inner", minus, "{c0}")
     for n in content.modes:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -49,7 +49,9 @@ class StatedValues:
     units. ``start`` contains the unknowns at the start of the iteration. ``units`` contains the
     units of the values. ``tolerance`` contains relative tolerances of values. For values without a
     tolerance, ``rounding`` contains the relative rounding error. If values contradict each other,
-    the error names a value of ``suspects`` first.
+    the error names a value of ``suspects`` first. ``assumptions`` contains advice for values that
+    data sheets often omit, keyed by name. If exactly one value is missing, the error contains the
+    advice for a value that would complete the stated values.
     """
 
     part: str
@@ -60,6 +62,7 @@ class StatedValues:
     tolerance: Mapping[str, float]
     rounding: Mapping[str, float]
     suspects: frozenset[str] = frozenset()
+    assumptions: Mapping[str, str] = field(default_factory=dict)
 
     def solve(self) -> np.ndarray:
         """Compute the unknowns in SI units from the values that the data sheet states.
@@ -177,12 +180,13 @@ class StatedValues:
             if self._count_determined_unknowns(x, *chosen, key) > rank + len(chosen):
                 chosen.append(key)
         missing = x.size - rank
+        hints = [self.assumptions[key] for key in useful if key in self.assumptions]
         raise UsageError(
-            "these values do not determine the circuit",
+            "the stated values do not fully determine the circuit",
             where=self.part,
             got=", ".join(self.stated) or "no value",
             expected=f"{missing} more value{'s' * (missing > 1)} of {join_first(useful)}",
-            hint=f"add {_join_words(chosen[:missing])}",
+            hint=hints[0] if hints and missing == 1 else f"add {_join_words(chosen[:missing])}",
         )
 
     def _require_solution(self, x: np.ndarray) -> None:

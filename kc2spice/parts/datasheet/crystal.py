@@ -74,6 +74,7 @@ class CrystalKeys(RatedKeys):
         None,
         gt=0,
         lt=1,
+        examples=["20e-6"],
         description="Relative tolerance of the crystal's frequency `f`, such as 20e-6",
     )
 
@@ -165,7 +166,9 @@ scale = "linear"
             "lm": f"1/({TWO_PI**2!r}*fs*fs*cm)",
             "rm": "r1" if loss == "r1" else f"1/({TWO_PI!r}*fs*cm*q)",
         }
-        return ResonatorNetlist(tuple(params), equations, ("",))
+        is_bounded = motion == "l1" and bool(loaded)
+        conditions = {"l1_is_too_small_for_f_c0_and_cl": f"ln({inverse})"} if is_bounded else {}
+        return ResonatorNetlist(tuple(params), equations, ("",), conditions)
 
 
 def _compute_loaded_frequency(circuit: Resonator, load: float | None) -> float:

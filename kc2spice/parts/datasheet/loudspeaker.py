@@ -295,8 +295,8 @@ stop = "1 kHz"
         """
         result, n = dict(super().vectors(part, build)), part.name
         if f"{n}.{COIL}" in result:
-            whole = current("i", "plus", "minus")
-            result[f"{n}.v"] = get_across_vector(build, part, whole)
+            coil = current("i", "plus", "minus")
+            result[f"{n}.v"] = get_across_vector(build, part, coil)
             result[f"{n}.i"] = replace(result[f"{n}.{COIL}"], leaves=("minus",))
         return result
 

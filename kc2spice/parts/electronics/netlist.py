@@ -6,7 +6,6 @@ The netlist is checked before a simulator reads it.
 from __future__ import annotations
 
 import re
-import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
@@ -20,13 +19,15 @@ from pydantic import Field
 from kc2spice.core.constitutive_laws import MissingEquations
 from kc2spice.core.domains import PIN_UNITS, SIGNAL
 from kc2spice.core.errors import UsageError, did_you_mean, list_candidates, unknown
-from kc2spice.core.quantities import Section, Slew, Voltage
+from kc2spice.core.quantities import Ratio, Section, Slew, Voltage
+from kc2spice.core.user_warnings import warn_user
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.card_parser import read_cards
 from kc2spice.netlist.circuit import Pin
 from kc2spice.netlist.importer import Syntax, translate_circuit
 from kc2spice.netlist.include_scan import read_included_netlist, read_untrusted_netlist
 from kc2spice.netlist.name_scopes import Scope, build_scope, conducts_to_ground, has_vector
+from kc2spice.netlist.number_and_name_spelling import format_number
 from kc2spice.netlist.number_and_name_spelling import require_name as checked
 from kc2spice.netlist.subcircuit_library import Header, Subcircuit
 from kc2spice.parts.electronics._parts_with_netlist_template import (
@@ -114,6 +115,13 @@ class NetlistKeys(Section):
             "Simulator for which the netlist file was written: ngspice, ltspice or pspice"
         ),
     )
+    parameters: dict[str, Ratio] = Field(
+        default_factory=dict,
+        description=(
+            "Values of the subcircuit's parameters, a table { NAME = number }, in the units of the "
+            "netlist file; all other parameters have the default values of the netlist file"
+        ),
+    )
     units: dict[str, str] = Field(
         default_factory=dict,
         description=(
@@ -185,12 +193,24 @@ class Netlist(PartType[NetlistKeys]):
                 error = unknown(message, kind, PIN_KINDS, advice="write one of these units")
                 if name not in pins:
                     error = unknown("the subcircuit has no such pin", name, pins)
-                elif (meant := _UNITS_OF_PINS.get(kind)) is not None:
-                    error.hint = f'write  {name} = "{meant}"'
+                elif (unit := _UNITS_OF_PINS.get(kind)) is not None:
+                    error.hint = f'write  {name} = "{unit}"'
                 yield part.wrong(
                     where, error.message, got=error.got, expected=error.expected, hint=error.hint
                 )
-        scope = None
+        scope = _read_subcircuit(part, scene) if part.keys.parameters else None
+        defaults = {} if scope is None else scope.defaults
+        for name in part.keys.parameters:
+            if name.lower() not in map(str.lower, defaults):
+                error = unknown("the subcircuit has no such parameter", name, defaults)
+                hint = error.hint if defaults else f"add  {name}=VALUE  to its .subckt card"
+                yield part.wrong(
+                    f"parameters.{name}",
+                    error.message,
+                    got=name,
+                    expected=error.expected if defaults else "a parameter of the .subckt card",
+                    hint=hint,
+                )
         for name, node in _list_probed_nodes(part, scene):
             scope = scope or _read_subcircuit(part, scene)
             if node in pins or has_vector(scope, _write_inner_vector(node)):
@@ -218,10 +238,9 @@ class Netlist(PartType[NetlistKeys]):
                 hint=did_you_mean(node, choices) or f'write  of = "{part.name}.{choices[0]}"',
             )
         if part.keys.ratings and scene.analysis.type != "transient":
-            warnings.warn(
+            warn_user(
                 f"{part.name}: the key `ratings` has no effect in the {scene.analysis.type} "
-                "analysis: only a transient compares voltages with the ratings",
-                stacklevel=2,
+                "analysis: only a transient compares voltages with the ratings"
             )
         for name in part.keys.ratings:
             if name not in pins:
@@ -232,6 +251,10 @@ class Netlist(PartType[NetlistKeys]):
                     expected=list_candidates(name, pins),
                     hint=did_you_mean(name, pins) or f"write {pins[0]} in place of {name}",
                 )
+
+    def instance_parameters(self, part: Part[NetlistKeys]) -> Mapping[str, str]:
+        """Return the parameters on the instance card of the part, keyed by name."""
+        return {name: format_number(value) for name, value in part.keys.parameters.items()}
 
     def has_ac_source(self, part: Part[NetlistKeys], scene: DeclaredScene) -> bool:
         """Return whether the netlist contains a source with an ``ac`` amplitude."""

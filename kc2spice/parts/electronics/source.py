@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import warnings
 from collections.abc import Iterator, Mapping
 from functools import partial
 from pathlib import Path
@@ -21,6 +20,7 @@ from kc2spice.core.si_prefix_format import format_quantity
 from kc2spice.core.spectrum import find_waveform_frequency
 from kc2spice.core.toml_text import clip_text, format_toml
 from kc2spice.core.untrusted_files import locate_file_in_folder, read_bounded
+from kc2spice.core.user_warnings import warn_user
 from kc2spice.core.waveforms import PulseKeys, SineKeys, Waveform, Waveforms
 from kc2spice.netlist.card_parser import split_words
 from kc2spice.netlist.circuit import Element, Item
@@ -269,6 +269,24 @@ class SourceKeys(Section):
         )
 
 
+def _warn_of_constant_waveform(part: Part[SourceKeys]) -> None:
+    """Warn about a pulse, a sine or a list of points that is constant versus time."""
+    keys = part.keys
+    if keys.waveform_key == "dc" or keys.waveform.find_first_change() is not None:
+        return
+    level = format_quantity(float(keys.waveform(0.0)), keys.unit)
+    problem, action = {
+        "pulse": (
+            f"`pulse.low` and `pulse.high` are both {level}",
+            "set `pulse.low` and `pulse.high` to different values",
+        ),
+        "sine": ("`sine.amplitude` is 0", f'write for example  sine.amplitude = "1 {keys.unit}"'),
+        "pwl": (f"all points of `pwl` have the value {level}", "change the value of a point"),
+        "file": (f"all rows of `{keys.file}` have the value {level}", "change the value of a row"),
+    }[keys.waveform_key]
+    warn_user(f"{part.name}: {problem}, so this source is constant: {action}")
+
+
 class Source(PartType[SourceKeys]):
     """Part type ``source``: independent source of a voltage, force or other quantity."""
 
@@ -286,17 +304,17 @@ class Source(PartType[SourceKeys]):
         )
 
     def problems(self, part: Part[SourceKeys], scene: GovernedScene) -> Iterator[UsageError]:
-        """Yield key errors; warn about a source that is zero in the default analysis.
+        """Yield key errors; warn about a constant waveform and an unused ``ac`` amplitude.
 
         The default analysis is a transient, in which the key ``ac`` has no effect.
         """
         yield from super().problems(part, scene)
+        _warn_of_constant_waveform(part)
         if part.keys.has_only_amplitude and "analysis" not in scene.frame.model_fields_set:
-            warnings.warn(
+            warn_user(
                 f"{part.name}: the key `ac` has no effect, because the scene has no [analysis] and "
                 'a transient is the default: add  [analysis]  and below it  type = "ac"  and  '
-                'stop = "100 kHz"',
-                stacklevel=2,
+                'stop = "100 kHz"'
             )
 
     def numerics(

@@ -2,7 +2,7 @@
 
 from pydantic import Field
 
-from kc2spice.core.quantities import EPSILON_0, Length, Ratio, Stiffness
+from kc2spice.core.quantities import EPSILON_0, Dimension, Ratio, Stiffness
 from kc2spice.parts.mechanics import _mechanical_stop
 from kc2spice.physics import Declaration, DeclaredPart, displacement, voltage
 from kc2spice.scene.parttype import register_part_type
@@ -23,20 +23,20 @@ class CombDriveKeys(_mechanical_stop.StopKeys):
             "Number of fingers of the moving comb, each of which lies between two fixed fingers"
         ),
     )
-    thickness: Length = Field(
+    thickness: Dimension = Field(
         gt=0,
         description=(
             "Thickness of the fingers, perpendicular to their motion and to the gap between "
             "the fingers"
         ),
     )
-    gap: Length = Field(
+    gap: Dimension = Field(
         gt=0, description="Width of the gap between neighbouring fingers of the two combs"
     )
-    overlap: Length = Field(
+    overlap: Dimension = Field(
         gt=0, description="Overlap length of moving and fixed fingers at the displacement x = 0"
     )
-    travel: Length = Field(
+    travel: Dimension = Field(
         gt=0, description="Displacement x at which the moving comb hits its stop"
     )
     stop: Stiffness = Field(1e4, gt=0, description="Stiffness of the stop of the moving comb")
@@ -55,6 +55,7 @@ register_part_type(
             forces={"x": _mechanical_stop.write_stop_loss("x - travel", "x_rate")},
             coenergy="fingers*eps0*thickness*(overlap + x)*v^2/gap",
             limits={"the overlap": "overlap + x"},
+            remedies={"the overlap": "the two combs no longer overlap: raise the key PART.overlap"},
             neglected=(
                 (
                     "fringing field",

@@ -44,7 +44,7 @@ from kc2spice.core.progress import StageTimer
 from kc2spice.core.quantities import (
     EPSILON_0,
     Count,
-    Length,
+    Dimension,
     Pressure,
     Ratio,
     Section,
@@ -54,12 +54,13 @@ from kc2spice.core.quantities import (
 from kc2spice.core.spectrum import find_energy_frequency
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts.bodies._linear_body import LinearBody
+from kc2spice.parts.electrostatics import _closing_gap
 from kc2spice.parts.mechanics import _mechanical_stop
 from kc2spice.physics import Declaration, DeclaredPart, displacement, voltage
 from kc2spice.physics.symbolic_algebra import evaluate_tree
 from kc2spice.scene.checks import Check, Gate, Metric, RunEnergyBalance
 from kc2spice.scene.highest_frequency import find_highest_frequency
-from kc2spice.scene.part_records import PartResult
+from kc2spice.scene.part_records import NeglectedEffect, PartResult
 from kc2spice.scene.parttype import register_part_type
 from kc2spice.scene.scene_classes import (
     BuiltScene,
@@ -94,10 +95,10 @@ MAX_BRANCHES = 100
 class FringingKeys(Section):
     """Keys of the fringing field between a strip and a plane."""
 
-    width: Length = Field(
+    width: Dimension = Field(
         gt=0, description="Width of the strip-shaped body whose fringing field is modelled"
     )
-    thickness: Length = Field(
+    thickness: Dimension = Field(
         gt=0, description="Thickness of the strip-shaped body whose fringing field is modelled"
     )
 
@@ -108,10 +109,10 @@ class SqueezeFilmKeys(Section):
     The patches of the body divide the length of the film into strips.
     """
 
-    length: Length = Field(
+    length: Dimension = Field(
         gt=0, description="Length of the gas film, measured along a row of patches"
     )
-    width: Length = Field(gt=0, description="Width of the gas film, perpendicular to its length")
+    width: Dimension = Field(gt=0, description="Width of the gas film, perpendicular to its length")
     viscosity: Annotated[float, si("Pa s")] = Field(
         18.3e-6, gt=0, description="Dynamic viscosity of the gas in the film"
     )
@@ -155,7 +156,7 @@ class GapKeys(_mechanical_stop.StopKeys):
     area: Annotated[float, si("m2")] = Field(
         gt=0, description="Area of the fixed electrode that faces the body, summed over all patches"
     )
-    gap: Length = Field(
+    gap: Dimension = Field(
         gt=0, description="Width of the gap between body and electrode at rest, without voltage"
     )
     side: Literal["below", "above"] = Field(
@@ -164,7 +165,7 @@ class GapKeys(_mechanical_stop.StopKeys):
     permittivity: Ratio = Field(
         1.0, gt=0, description="Relative permittivity of the medium in the gap"
     )
-    travel: Length = Field(
+    travel: Dimension = Field(
         gt=0,
         description=(
             "Displacement at which each patch hits its stop; must be less than the key `gap`"
@@ -255,14 +256,9 @@ class Gap(PatchedPart[GapKeys]):
 
     def problems(self, part: Part[GapKeys], scene: GovernedScene) -> Iterator[UsageError]:
         """Yield an error for each invalid key of the part."""
+        yield from super().problems(part, scene)
         keys, ports = part.keys, list_patch_ports(part, scene)
-        if not keys.travel < keys.gap:
-            yield part.wrong(
-                "travel",
-                "the stop is behind the fixed electrode",
-                got=f"{keys.travel:g} m",
-                expected=f"less than the gap, {keys.gap:g} m",
-            )
+        yield from _closing_gap.list_travel_errors(part)
         if keys.shares is not None and len(ports) != len(keys.shares):
             yield part.wrong(
                 "shares",
@@ -271,6 +267,13 @@ class Gap(PatchedPart[GapKeys]):
                 expected=f"{len(ports)}, as many as patches",
                 hint="delete shares, so that all patches have the same area",
             )
+
+    def list_neglected_effects(
+        self, part: Part[GapKeys], scene: Scene
+    ) -> Iterator[NeglectedEffect]:
+        """Yield the effects that the model of a part neglects."""
+        yield from super().list_neglected_effects(part, scene)
+        yield from _closing_gap.list_ramp_effects(scene)
 
     def vectors(self, part: Part[GapKeys], build: BuiltScene) -> Mapping[str, PartResult]:
         """Return the ngspice vectors: expressions of the part's results, keyed by name.
@@ -289,12 +292,14 @@ class Gap(PatchedPart[GapKeys]):
         lie between pull-in and release. At a stable point, the capacitance never decreases with
         ``v^2``.
         """
-        yield from super().checks(part, build, waves)
-        yield from _check_film(part, build, waves)
         d, recorded = (
             self.declare_part(part, build.scene),
             self._list_recorded_waves(part, build, waves),
         )
+        if "frequency" not in waves:
+            yield from _closing_gap.check_stop_indentation(part, d, recorded)
+        yield from super().checks(part, build, waves)
+        yield from _check_film(part, build, waves)
         if "sweep" not in waves or waves.scale.size < 2 or set(recorded) != set(d.coordinates):
             return
         (branch,) = (b for b in d.branches if b.kind == "voltage")
@@ -316,9 +321,12 @@ class Gap(PatchedPart[GapKeys]):
 
         At pull-in, the first patch touches the stop. At release, the last patch leaves the stop.
         The pull-in voltage is the mean of the voltages before and after pull-in, and likewise the
-        release voltage. After an ac analysis, the metrics are the stiffness and the damping at the
-        last frequency f. The stiffness is the real part of force divided by displacement, and the
-        damping is the imaginary part divided by ``2 pi f``.
+        release voltage. After a dc sweep, the resolution of the pull-in voltage is half of the
+        difference between the voltages before and after pull-in. The resolution of the release
+        voltage is half of the difference between the voltages before and after release. After an ac
+        analysis, the metrics are the stiffness and the damping at the last frequency f. The
+        stiffness is the real part of force divided by displacement, and the damping is the
+        imaginary part divided by ``2 pi f``.
         """
         of = {
             "x": _list_patch_waveforms(part, "x", waves),
@@ -343,8 +351,12 @@ class Gap(PatchedPart[GapKeys]):
         ends = {"pull_in_v": meets[:1], "release_v": last[turns[last] < 0]}
         result = {}
         for name, k in ends.items():
-            voltage = float(size[k[0]] + size[k[0] + 1]) / 2 if k.size else None
-            result[name] = Metric(voltage, "V")
+            if not k.size:
+                result[name] = Metric(None, "V")
+                continue
+            before, after = map(float, size[k[0] : k[0] + 2])
+            half = abs(after - before) / 2 if "sweep" in waves else 0.0
+            result[name] = Metric((before + after) / 2, "V", resolution=half)
         return result | {"largest_travel_m": Metric(float(stroke.max()), "m")}
 
 
@@ -453,6 +465,7 @@ def _declare_gap(text: str, count: int, film_branches: int, top: float) -> Decla
     keys = GapKeys.model_validate_json(text)
     shares = keys.shares or (1 / count,) * count
     numbers: dict[str, float | str] = {"eps0": EPSILON_0, **_mechanical_stop.STOP_CONSTANTS}
+    numbers |= {"least": f"{_closing_gap.LEAST_SHARE}*(1 - travel/gap)"}
     sign = "-" if keys.side == "below" else "+"
     branches = [voltage("v", "plus", "minus")]
     gaps, capacitances, energy, damping = [], [], [], []
@@ -462,14 +475,13 @@ def _declare_gap(text: str, count: int, film_branches: int, top: float) -> Decla
         branches.append(displacement(f"x{k}", f"p{k}", "b", f"force{k}"))
         # The divisor is the gap divided by the gap at rest.
         # A divisor in metres would be inaccurate, because ngspice adds 1e-32 to every divisor.
-        gap = f"(1 - {sign}1*x{k}/gap)"
-        capacitance = f"share{k}*area/gap/{gap}"
-        # With fringing, the capacitance contains square roots of the inverse gap.
-        # A lower limit of the gap prevents negative arguments of these square roots.
+        ratio = f"(1 - {sign}1*x{k}/gap)"
+        gap = _closing_gap.write_limited_gap(ratio, "least")
+        inverse = _closing_gap.write_inverse_gap(ratio, "least")
+        capacitance = f"share{k}*area/gap*{inverse}"
         if keys.fringing is not None:
-            gap = f"(least + max(0, {gap[1:-1]} - least))"
             roots = f"1.06*sqrt(sqrt(width/gap/{gap})) + 1.06*sqrt(thickness/gap/{gap})"
-            capacitance = f"share{k}*area/width*(width/gap/{gap} + 0.77 + {roots})"
+            capacitance = f"share{k}*area/width*(width/gap*{inverse} + 0.77 + {roots})"
         gaps.append(f"share{k}*{gap}")
         capacitances.append(capacitance)
         damping.append(f"0.5*rest*share{k}/{gap}^3*x{k}_rate^2")
@@ -479,7 +491,6 @@ def _declare_gap(text: str, count: int, film_branches: int, top: float) -> Decla
         stops[f"the stop of patch {k}"] = indentation
         limits[f"the remaining gap at patch {k}"] = f"gap - {sign}1*x{k}"
     if keys.fringing is not None:
-        numbers |= {"least": "0.5*(1 - travel/gap)"}
         numbers |= {"width": keys.fringing.width, "thickness": keys.fringing.thickness}
     content = []
     if keys.film is not None:
@@ -503,9 +514,9 @@ def _declare_gap(text: str, count: int, film_branches: int, top: float) -> Decla
         energy=" + ".join(energy),
         forces=forces,
         stops=stops,
+        limits=limits,
         coenergy=f"0.5*eps0*permittivity*v^2*({' + '.join(capacitances)})",
         content=" + ".join(content) or "0",
-        limits=limits,
         neglected=tuple(_list_neglected_effects(keys, film_branches, top)),
         rating=(
             "not known; compare the field v / gap with the breakdown field of the medium in the gap"

@@ -92,7 +92,8 @@ class Throw(_contact_surfaces.TouchablePart[ThrowKeys]):
         """Yield the largest indentation that the thrown sphere causes at each contact."""
         ball, speed = find_sphere(part, scene), _compute_impact_speed(part, scene)
         why, mass = f"impact at {speed:.3g} m/s", ball.keys.mass
-        yield from _contact_surfaces.estimate_impact_indentation(ball, mass, scene, speed, why)
+        key = f"{part.name}.velocity"
+        yield from _contact_surfaces.estimate_impact_indentation(ball, mass, scene, speed, why, key)
 
     def metrics(
         self, part: Part[ThrowKeys], build: BuiltScene, waves: Waveforms

@@ -26,9 +26,9 @@ from kc2spice.core.progress import StageTimer
 from kc2spice.core.quantities import (
     MU_0,
     Count,
+    Dimension,
     FluxDensity,
     Frequency,
-    Length,
     Ratio,
     RefinementRule,
     Resistance,
@@ -98,14 +98,14 @@ MIN_CHANGE_RATIO = 0.1
 class CoilKeys(Section):
     """Keys of a coaxial coil whose winding has a rectangular cross-section."""
 
-    radius: Length = Field(gt=0, description="Mean radius of the coil's winding")
-    width: Length = Field(
+    radius: Dimension = Field(gt=0, description="Mean radius of the coil's winding")
+    width: Dimension = Field(
         gt=0, description="Radial width of the cross-section of the coil's winding"
     )
-    height: Length = Field(
+    height: Dimension = Field(
         gt=0, description="Axial height of the cross-section of the coil's winding"
     )
-    y: Length = Field(
+    y: Dimension = Field(
         description=(
             "Height of the centre of the coil's winding, with the same zero as the moving body's "
             "height"
@@ -141,13 +141,13 @@ class MovingBodyKeys(ConductorKeys):
     of the coils and magnets. A part ``mass`` at the pin ``a`` represents the mass of the body.
     """
 
-    radius: Length = Field(gt=0, description="Outer radius of the moving body")
-    inner: Length = Field(
+    radius: Dimension = Field(gt=0, description="Outer radius of the moving body")
+    inner: Dimension = Field(
         0.0,
         ge=0,
         description="Radius of the central hole of the moving body; 0 for a body without a hole",
     )
-    thickness: Length | None = Field(
+    thickness: Dimension | None = Field(
         None, gt=0, description="Thickness of the moving disc along the axis"
     )
     coils: dict[str, CoilKeys] = Field(
@@ -161,13 +161,13 @@ class MovingBodyKeys(ConductorKeys):
         {},
         description="Fixed magnets that act on the moving body, each a table [PART.magnets.NAME]",
     )
-    y_min: Length = Field(
+    y_min: Dimension = Field(
         description=(
             "Lowest height of the moving body's centre of mass for which the model is valid, "
             "with the same freely chosen zero as the heights of coils and magnets"
         )
     )
-    y_max: Length = Field(
+    y_max: Dimension = Field(
         description=(
             "Greatest height of the moving body's centre of mass for which the model is valid, "
             "with the same freely chosen zero as the heights of coils and magnets"
@@ -249,6 +249,10 @@ def _declare_body(
         kind.parameters,
         branches,
         limits=limits,
+        remedies={
+            "y above y_min": "lower the key PART.y_min",
+            "y below y_max": "raise the key PART.y_max",
+        },
         rating=kind.rating,
         sign=(
             "the displacement of a relative to b, in um, is the height of the centre of mass; 1 A "

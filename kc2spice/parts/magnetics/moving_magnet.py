@@ -12,7 +12,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from kc2spice.core.quantities import MU_0, FluxDensity, Length, Ratio, RefinementRule, Section
+from kc2spice.core.quantities import MU_0, Dimension, FluxDensity, Ratio, RefinementRule, Section
 from kc2spice.fem.magnet_keys import RingKeys
 from kc2spice.fem.magnet_rings import LoopModel, Winding, make_current_loop
 from kc2spice.parts.magnetics.moving_conductor import (
@@ -46,7 +46,7 @@ class MovingMagnetKeys(MagnetisationKeys, MovingBodyKeys):
     flux and the force.
     """
 
-    thickness: Length = Field(gt=0, description="Thickness of the moving magnet along the axis")
+    thickness: Dimension = Field(gt=0, description="Thickness of the moving magnet along the axis")
     mu_r: Ratio = Field(
         1.0,
         ge=1,

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from kc2spice.core.quantities import MU_0, Current, Length, Ratio, Resistance, Stiffness, si
+from kc2spice.core.quantities import MU_0, Current, Dimension, Ratio, Resistance, Stiffness, si
 from kc2spice.fem.thermal_materials import find_resistance_coefficient
 from kc2spice.parts.mechanics import _mechanical_stop
 from kc2spice.physics import Declaration, DeclaredPart, current, displacement
@@ -20,15 +20,16 @@ class ReluctanceKeys(ConductorKeys, _mechanical_stop.StopKeys):
 
     The flux is ``(turns * i + magnet) / (core + gaps * (gap - x) / (MU_0 * area))`` with the
     current i and the displacement x. With ``gaps`` air gaps, the flux causes the force ``gaps *
-    flux^2 / (2 * MU_0 * area)`` in the direction of the displacement x. A permanent magnet of
-    length l and area A has the magnetomotive force ``magnet = remanence * l / (MU_0 * mu_r)``. The
-    key ``core`` must include the reluctance ``l / (MU_0 * mu_r * A)`` of the magnet.
+    flux^2 / (2 * MU_0 * area)`` in the direction of the displacement x. The result ``PART.force``
+    has the opposite sign, because it is the force of the other parts on the armature. A permanent
+    magnet of length l and area A has the magnetomotive force ``magnet = remanence * l / (MU_0 *
+    mu_r)``. The key ``core`` must include the reluctance ``l / (MU_0 * mu_r * A)`` of the magnet.
     """
 
     area: Annotated[float, si("m2")] = Field(
         gt=0, description="Cross-sectional area of each air gap in the magnetic circuit"
     )
-    gap: Length = Field(
+    gap: Dimension = Field(
         gt=0, description="Length of each air gap at the displacement x = 0 of the armature"
     )
     gaps: Ratio = Field(
@@ -45,7 +46,7 @@ class ReluctanceKeys(ConductorKeys, _mechanical_stop.StopKeys):
     )
     turns: Ratio = Field(1.0, gt=0, description="Number of turns of the coil")
     resistance: Resistance = Field(gt=0, description="Electrical resistance of the coil")
-    travel: Length = Field(
+    travel: Dimension = Field(
         gt=0,
         description=(
             "Displacement x at which the armature hits its stop; must be less than the key `gap`"
@@ -68,6 +69,10 @@ register_part_type(
             coenergy="0.5*(turns*i + magnet)^2/(core + gaps*(gap - x)/(mu0*area))",
             content="0.5*resistance*i^2",
             limits={"the gap": "gap - x"},
+            remedies={
+                "the gap": "the armature moves beyond its stop and closes the gap: raise the key "
+                "PART.stop, the stiffness of the stop",
+            },
             neglected=(
                 ("saturation and hysteresis", "the core is linear", "compare flux / area with 1 T"),
                 ("leakage, fringing", "all flux crosses the gaps", "of the order of gap / width"),

@@ -73,6 +73,10 @@ register_part_type(
             coenergy="0.5*inductance*i^2 + i*(bl*x + bl1*x^2/2 + bl2*x^3/3)",
             content="0.5*resistance*i^2 + 0.5*damping*x_rate^2",
             limits={"the compliance": "cms + cms1*x + cms2*x^2"},
+            remedies={
+                "the compliance": "the keys cms1 and cms2 of PART are not valid at this large "
+                "displacement: lower the drive, or set cms1 = 0 and cms2 = 0"
+            },
             neglected=(
                 (
                     "dependence of the inductance on the displacement",

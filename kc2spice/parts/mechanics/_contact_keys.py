@@ -11,6 +11,7 @@ from pydantic import Field
 
 from kc2spice.core.quantities import (
     Length,
+    PlausibleRange,
     Pressure,
     Ratio,
     RefinementRule,
@@ -20,7 +21,15 @@ from kc2spice.core.quantities import (
     Velocity,
     si,
 )
+from kc2spice.fem.material_limits import MAX_STIFFNESS as HIGHEST_MODULUS
+from kc2spice.fem.material_limits import MIN_STIFFNESS
 
+_PLAUSIBLE_MODULUS = PlausibleRange(
+    "Pa",
+    MIN_STIFFNESS,
+    HIGHEST_MODULUS,
+    "moduli are between those of soft gels and twice that of diamond",
+)
 # Largest permitted stiffness [N/m] of a contact spring.
 # A mass of 1 g on a spring of 1e15 N/m vibrates at 160 MHz, far above all frequencies of a run.
 MAX_STIFFNESS = 1e15
@@ -97,7 +106,7 @@ class ContactKeys(Section):
             "one port) with force = 4/3 E* sqrt(R) indentation^(3/2)"
         ),
     )
-    modulus: Pressure | None = Field(
+    modulus: Annotated[Pressure, _PLAUSIBLE_MODULUS] | None = Field(
         None,
         gt=0,
         description=(

@@ -57,6 +57,7 @@ class ContactSurface:
     ``compliance`` is its compliance, and ``pace`` [s] is its damping time. If the surface is
     rigid, ``elastic`` is the name of the part that models the elasticity; this part has the port
     ``patch``. ``modulus`` [Pa] is the indentation modulus if the surface is a half-space.
+    ``half_width`` [m] is the distance from the axis to the nearest edge of the surface.
     """
 
     part: str
@@ -70,6 +71,7 @@ class ContactSurface:
     pace: float = 0.0
     elastic: str = ""
     modulus: float | None = None
+    half_width: float = math.inf
 
     @property
     def is_rigid(self) -> bool:
@@ -104,10 +106,16 @@ class ContactSurface:
 
 @dataclass(frozen=True)
 class LargestIndentation:
-    """Largest indentation [m] of two contact surfaces, and the event that causes it."""
+    """Largest indentation [m] of two contact surfaces, and the event that causes it.
+
+    ``speed_key`` is the key of the scene that sets the speed of the impact, and ``speed`` [m/s] is
+    this speed.
+    """
 
     depth: float
     why: str
+    speed_key: str = ""
+    speed: float = 0.0
 
 
 class TouchablePart(PartType[KeysT]):
@@ -530,15 +538,17 @@ def _fit_cached_law(nodes: bytes, compliance: bytes, radius: float) -> Indentati
 
 
 def estimate_impact_indentation(
-    sphere: Part, mass: float, scene: GovernedScene, speed: float, why: str
+    sphere: Part, mass: float, scene: GovernedScene, speed: float, why: str, speed_key: str = ""
 ) -> Iterator[LargestIndentation]:
     """Yield the largest indentation by a sphere that hits a surface.
 
     ``speed`` is the speed [m/s] of the sphere when the contact closes. ``why`` describes in words
-    the event that causes the indentation. Among all states with the indentation d, the static state
-    has the smallest stored energy. The static law of Hertz (1881) therefore gives an upper bound of
-    d: ``m v^2 / 2 = 8/15 E sqrt(R) d^(5/2)``. m is the mass of the sphere, v is its speed, R is its
-    radius, and E is the combined modulus.
+    the event that causes the indentation. ``speed_key`` is the key that sets the speed.
+
+    Among all states with the indentation d, the static state has the smallest stored energy. The
+    static law of Hertz (1881) therefore gives an upper bound of d: ``m v^2 / 2 = 8/15 E sqrt(R)
+    d^(5/2)``. m is the mass of the sphere, v is its speed, R is its radius, and E is the combined
+    modulus.
     """
     energy = 0.5 * mass * speed**2
     for contact in scene.list_parts("contact"):
@@ -552,7 +562,7 @@ def estimate_impact_indentation(
                 assert pair.upper_surface.modulus is not None
                 modulus = 1 / (1 / modulus + 1 / pair.upper_surface.modulus)
             depth = (15 * energy / (8 * modulus * math.sqrt(pair.upper_surface.radius))) ** 0.4
-            yield LargestIndentation(_INDENTATION_MARGIN * float(depth), why)
+            yield LargestIndentation(_INDENTATION_MARGIN * float(depth), why, speed_key, speed)
 
 
 # --- launch from a contact ------------------------------------------------------------------------

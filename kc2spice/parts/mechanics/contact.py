@@ -12,12 +12,14 @@ from itertools import product
 
 import numpy as np
 
+from kc2spice.bodies.stack_keys import MAX_RINGS, StackKeys
 from kc2spice.core import constitutive_laws as laws
 from kc2spice.core.domains import AMBIENT, HEAT
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel, choose_time_unit
 from kc2spice.core.progress import StageTimer
 from kc2spice.core.si_prefix_format import format_quantity
+from kc2spice.core.user_warnings import warn_user
 from kc2spice.core.waveforms import Waveforms, integrate_cumulatively
 from kc2spice.parts.mechanics._contact_keys import ContactKeys
 from kc2spice.parts.mechanics._contact_surfaces import (
@@ -74,6 +76,12 @@ MAX_ENERGY_ERROR = 1e-3
 # 5e-3. With half as many basis functions, the relative force error is 3e-2.
 FUNCTIONS_PER_RADIUS = 3.0
 MAX_BASIS_ERROR = 3e-2  # largest permitted relative force error of a pressure basis
+BEYOND_RINGS = "the contact area extends beyond the modelled rings"
+# Largest contact radius that advice proposes, divided by the radius of the sphere.
+# Hertz's law assumes a contact radius far below the radius of the sphere.
+MAX_CONTACT_SHARE = 0.5
+RING_GROWTH = 1.5  # smallest proposed growth of the radius that the contact rings cover
+EDGE_TOLERANCE = 1e-5  # smallest distance from the outermost ring to the edge, relative
 MAX_RING_MOTION = 0.95  # largest permitted motion of an omitted ring, divided by its gap
 # Largest permitted product of reltol and the number of contact events during one launch.
 # Each contact event adds the error of one time step, so more contact events need a smaller reltol.
@@ -195,6 +203,11 @@ class Contact(DeclaredPart[ContactKeys]):
                 got=f"ring radius {max(a.distance):g} m",
                 expected=f"less than {b.part}.radius, {b.radius:g} m",
                 hint=f"lower {a.part}.mesh.ring_spacing",
+            )
+        if part.keys.modulus is not None and part.keys.law != "hertz":
+            warn_user(
+                f"{part.name}: the key `modulus` has no effect with law = "
+                f'"{part.keys.law}": write  law = "hertz"  or delete the key'
             )
         if part.keys.shape == "pressure":
             yield from _check_pressure_shape(pair)
@@ -570,35 +583,97 @@ def _check_contact_extent(
             suggested=suggested,
             label=f"approach of {a.part} to {pair.upper_surface.part} at {a.ports[len(ports)]}",
         )
-    elif pair.find_prescribed_indentation(waves) is None:
-        advice = "the contact area extends beyond the modelled rings: raise rings or ring_spacing"
+    elif pair.find_prescribed_indentation(waves) is None and any(a.distance):
         label, largest = "contact force on the outermost ring", float(force[-1].max())
-        yield Check("outer_ring", largest, 0.0, "N", advice, action, label=label)
+        advice = f"{BEYOND_RINGS}: raise {a.part}.mesh.rings"
+        check = Check("outer_ring", largest, 0.0, "N", advice, action, label=label)
+        yield check if check.passed else _advise_on_outermost_ring(check, pair)
+
+
+def _advise_on_outermost_ring(check: Check, pair: ContactPair) -> Check:
+    """Return the failed check of the outermost ring's force, with advice to the user."""
+    a, ball = pair.lower_surface, pair.upper_surface.radius
+    if pair.keys.a is not None and pair.keys.a != a.part:
+        return replace(check, advice=f'{BEYOND_RINGS}: write  {pair.part.name}.a = "{a.part}"')
+    assert ball is not None
+    last, depth = a.distance[-1], pair.largest_indentation.depth
+    return _advise_rings_or_speed(check, pair, BEYOND_RINGS, last, last**2 / (2 * ball), depth, 1.0)
+
+
+def _advise_rings_or_speed(
+    check: Check,
+    pair: ContactPair,
+    problem: str,
+    radius: float,
+    covered_depth: float,
+    depth: float,
+    ratio: float,
+) -> Check:
+    """Return a failed check with advice: more rings, or a lower speed or load.
+
+    The rings extend to ``radius`` [m], and cover indentations of up to ``covered_depth`` [m]. This
+    depth is proportional to the square of ``radius``. ``depth`` [m] is the largest indentation that
+    the rings must cover. ``ratio`` is the radius of the rings divided by the contact radius. If the
+    rings cannot cover the indentation, the advice is a lower speed. In Hertz's law, the indentation
+    is proportional to ``v^(4/5)`` at the speed v. With the advised number of rings or speed, a run
+    passes the check.
+    """
+    a, largest, ball = pair.lower_surface, pair.largest_indentation, pair.upper_surface.radius
+    body, key = pair.scene.parts[a.part].keys, f"{a.part}.mesh.rings"
+    lower_load = f"{problem}: lower the load that presses the parts together"
+    if ball is None or not isinstance(body, StackKeys):
+        return replace(check, advice=lower_load)
+    spacing = body.mesh.ring_spacing
+    largest_radius = min(a.half_width, ratio * MAX_CONTACT_SHARE * ball) * (1 - EDGE_TOLERANCE)
+    required_radius = radius * max(math.sqrt(depth / covered_depth), RING_GROWTH)
+    rings, most_rings = math.ceil(required_radius / spacing), int(largest_radius / spacing)
+    if rings <= min(most_rings, MAX_RINGS):
+        return replace(check, advice=f"{problem}: set {key} = {rings}")
+    if not largest.speed_key:
+        return replace(check, advice=lower_load)
+    most_rings = min(most_rings, MAX_RINGS)
+    speed = largest.speed * (covered_depth / depth * (most_rings * spacing / radius) ** 2) ** 1.25
+    digit = 10.0 ** (math.floor(math.log10(speed)) - 1)  # the proposed speed has two digits
+    speed = digit * math.floor(speed / digit)
+    return replace(
+        check,
+        advice=f"at this speed, the contact radius is too large for {a.part} or for the contact "
+        f'law: write  {largest.speed_key} = "-{speed:g} m/s"  and  {key} = {most_rings}',
+        found=f"a speed of {largest.speed:g} m/s, set by {largest.speed_key}",
+        accepted=f"a speed of at most {speed:g} m/s",
+    )
 
 
 def _check_depth(pair: ContactPair, waves: Waveforms, place: np.ndarray) -> Iterator[Check]:
     """Yield checks of the indentation of a contact with a pressure basis.
 
     The contact law is accurate up to a contact radius of half of the patch radius. The contact law
-    is inaccurate if only a few basis functions carry the force (:data:`FUNCTIONS_PER_RADIUS`).
+    is inaccurate if the contact radius contains fewer than :data:`FUNCTIONS_PER_RADIUS` basis
+    functions of the pressure.
     """
     height = pair.lower_surface.compute_surface_position(pair.lower_surface.ports[0], waves)
     if pair.keys.shape != "pressure" or height is None:
         return
     deepest, checks = float((height - place - pair.keys.gap).max()), pair.scene.checks
-    advice = (
-        f"the contact law does not cover this depth: raise {pair.lower_surface.part}.mesh.rings or "
+    covered, problem = (
+        pair.contact_force.depth,
+        "the contact law is not valid at this indentation depth",
     )
-    advice += f"{pair.lower_surface.part}.mesh.ring_spacing"
-    yield Check(
-        "depth of the contact", deepest, pair.contact_force.depth, "m", advice, checks.range
-    )
+    advice = f"{problem}: raise {pair.lower_surface.part}.mesh.rings"
+    check = Check("depth of the contact", deepest, covered, "m", advice, checks.range)
+    if not check.passed:
+        depth, patch = max(deepest, pair.largest_indentation.depth), pair.lower_surface.patch
+        check = _advise_rings_or_speed(check, pair, problem, patch, covered, depth, 2.0)
+    yield check
     if deepest > 0.0 and pair.upper_surface.radius is not None:
         widest, spacing = (
             math.sqrt(deepest * pair.upper_surface.radius) / FUNCTIONS_PER_RADIUS,
             pair.keys.spacing,
         )
-        advice = "too few basis functions carry the force, so its error exceeds 5e-3: lower "
+        advice = (
+            f"the contact radius contains fewer than {FUNCTIONS_PER_RADIUS:g} basis functions of "
+            "the pressure, so the relative error of the contact force exceeds 0.5 %: lower "
+        )
         advice += f"{pair.part.name}.spacing"
         yield Check("basis of the pressure", spacing, widest, "m", advice, checks.penetration)
 

@@ -40,6 +40,10 @@ register_part_type(
             (displacement("x", "a", "b"),),
             energy="0.5*stiffness*x^2 + 0.25*cubic*x^4",
             limits={"the tangent stiffness": "stiffness + 3*cubic*x^2"},
+            remedies={
+                "the tangent stiffness": "the spring has a negative tangent stiffness at this "
+                "elongation: lower the load, or raise the key PART.cubic towards 0"
+            },
             neglected=(("mass of the spring", "the spring is massless", "not estimated"),),
         )
     )
