@@ -14,15 +14,16 @@ from contextlib import ExitStack, nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from html import escape
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from kc2spice.core import __version__
 from kc2spice.core.argument_and_option_names import check_arguments, use_arguments_in_errors
+from kc2spice.core.attribute_advice import WRITING_METHODS, AdvisesOnAttributes, make_index_error
 from kc2spice.core.errors import NamedValues, UsageError, unknown
 from kc2spice.core.figure import Figure
-from kc2spice.core.files import stage_directory
+from kc2spice.core.files import require_path, stage_directory
 from kc2spice.core.optional_libraries import import_optional
 from kc2spice.core.progress import StageTimer
 from kc2spice.core.waveforms import SCALES, Waveforms, write_record, write_waveforms
@@ -210,7 +211,7 @@ def run(
     1.0000 A
     """
     _require_flags(trust=trust)
-    directory = None if out is None else _require_path(out)
+    directory = None if out is None else require_path(out)
     with use_arguments_in_errors("overrides"):
         loaded = load_scene(scene, overrides or {})
     edited = None if deck is None else _require_deck_path(deck)
@@ -342,7 +343,7 @@ def export(
 
     _require_flags(trust=trust)
     with use_arguments_in_errors("values"):
-        return export_scene(load_scene(scene), _require_path(out), dialect, trust=trust)
+        return export_scene(load_scene(scene), require_path(out), dialect, trust=trust)
 
 
 @check_arguments
@@ -396,13 +397,13 @@ def verify(
     _require_flags(full=full, trust=trust)
     loaded = load_scene(scene)
     with tempfile.TemporaryDirectory(prefix="kc2spice-") as work:
-        folder = Path(work) / "verify" if out is None else _require_path(out)
+        folder = Path(work) / "verify" if out is None else require_path(out)
         record = verify_scenes([loaded], folder, full=full, trust=trust)
     return NamedValues(record["scenes"][loaded.name])
 
 
 @dataclass(frozen=True, repr=False, eq=False)
-class Result:
+class Result(AdvisesOnAttributes):
     """Waveforms, metrics, checks, deck and figures of a simulation.
 
     Attributes
@@ -420,6 +421,13 @@ class Result:
     figures : plots of the parts of the scene by name, for :meth:`plot`.
     """
 
+    _attribute_advice: ClassVar[Mapping[str, str]] = {
+        **dict.fromkeys(WRITING_METHODS, 'save("DIRECTORY") writes all files of the result'),
+        "to_dataframe": "to_xarray().to_dataframe() returns a pandas DataFrame",
+        "show": "plot() draws the result",
+        "summary": "print(RESULT) prints the metrics",
+    }
+
     scene: str
     metrics: Mapping[str, Any]
     waves: Mapping[str, np.ndarray]
@@ -429,6 +437,13 @@ class Result:
     deck: Deck
     figures: Mapping[str, Figure] = field(default_factory=dict)
     _done: CompletedRun | None = None
+
+    if not TYPE_CHECKING:  # otherwise mypy would accept every index
+
+        def __getitem__(self, name: object) -> Any:
+            """Raise the error about an index, with advice on where the numbers are."""
+            place = "waves" if name in self.waves else "metrics"
+            raise make_index_error(self, f"RESULT.{place}[{name!r}] returns the values")
 
     @property
     def scale(self) -> str:
@@ -547,7 +562,7 @@ class Result:
         UsageError : ``out`` cannot be written, or another deck in ``out`` includes a different
             library of the same name.
         """
-        folder = _require_path(out)
+        folder = require_path(out)
         with stage_directory(folder) as work:
             protect_other_decks(folder, self.deck.files)
             if self._done is not None:
@@ -611,13 +626,20 @@ def _make_result(
     return Result(record["scene"], metrics, data, NamedValues(units), checks, record, deck, **more)
 
 
-class Table(tuple[dict[str, Any], ...]):
+class Table(AdvisesOnAttributes, tuple[dict[str, Any], ...]):
     """Table of a sweep: for each point, a mapping of column names to values.
 
     The columns of the table are the swept keys, the metrics that are single numbers, and
     ``status``. ``status`` is ``"ok"``, or ``"failed: "`` and the reason. The metrics of a failed
     point are None.
     """
+
+    _attribute_advice: ClassVar[Mapping[str, str]] = {
+        **dict.fromkeys(WRITING_METHODS, 'save("NAME.csv") writes the table'),
+        "to_pandas": "to_dataframe() returns a pandas DataFrame",
+        "plot": "to_dataframe().plot(x=KEY, y=METRIC) plots METRIC versus KEY",
+        "rows": "the table itself is a sequence of rows",
+    }
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -711,23 +733,6 @@ def _require_deck_path(deck: object) -> Path:
         hint="to simulate a deck without a file, write kc.simulate(DECK)"
         if isinstance(deck, Deck)
         else 'for example deck="netlists/SCENE.cir"',
-    )
-
-
-def _require_path(out: object) -> Path:
-    """Return ``out`` as a path; raise an error if it is neither a string nor a path."""
-    if isinstance(out, (str, Path)):
-        return Path(out)
-    raise UsageError(
-        "out is a table of keys, not the path of a directory"
-        if isinstance(out, Mapping)
-        else "out is not the path of a directory",
-        where="out",
-        got=repr(out)[:120],
-        expected="a path",
-        hint='to change keys, write kc.run(SCENE, overrides={"rom.order": 10})'
-        if isinstance(out, (Mapping, list, tuple))
-        else 'for example out="results"',
     )
 
 

@@ -7,7 +7,6 @@ are the logarithms of the values, limited to their ranges.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -20,6 +19,7 @@ from scipy.optimize import OptimizeResult, least_squares
 
 from kc2spice.core.errors import SimulationError, UsageError, list_candidates
 from kc2spice.core.progress import Progress, StageTimer
+from kc2spice.core.user_warnings import warn_user
 from kc2spice.equations.networks import Network
 from kc2spice.equations.scene_laws import get_scene_laws
 from kc2spice.parts.bodies._varied_keys import VariedKey, read_key_values
@@ -284,10 +284,9 @@ def fit_circuit(problem: CircuitFit, where: str) -> dict[str, Any]:
     keys, solved = problem.keys, problem.solve()
     values = problem.compute_key_values(solved.x)
     if solved.status == 0:
-        warnings.warn(
-            f"{where}: the fit ended after {MAX_EVALUATIONS} steps before it converged; its values "
-            "are the best of these steps; vary fewer keys, or give narrower ranges",
-            stacklevel=3,
+        warn_user(
+            f"{where}: the fit did not converge within {MAX_EVALUATIONS} steps; its values are the "
+            "best that it found; vary fewer keys, or give narrower ranges"
         )
     described = describe_values(keys, values, solved.jac, solved.fun)
     responses, rows, sizes = [], [], []
@@ -305,11 +304,12 @@ def fit_circuit(problem: CircuitFit, where: str) -> dict[str, Any]:
             f"the model does not describe the data: a misfit of {misfit:.1f} times the noise; "
             f"{MISFIT_ADVICE}"
         )
-        warnings.warn(f"{where}: {caution}", stacklevel=3)
+        warn_user(f"{where}: {caution}")
     curve, before, after = responses[0]
     return {
         "part": problem.part,
         "data": where,
+        "read": [curve.data.description for curve in problem.curves],
         **described,
         "values": problem.name_scene_keys(values),
         "error": compute_error_statistics(np.concatenate(sizes)),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import nullcontext
 from operator import attrgetter
@@ -20,9 +19,11 @@ from kc2spice.core.argument_and_option_names import check_arguments, use_argumen
 from kc2spice.core.errors import NamedValues, UsageError
 from kc2spice.core.files import stage_directory
 from kc2spice.core.progress import Progress, ignore_progress
+from kc2spice.core.user_warnings import warn_user
 from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.parts.bodies._varied_keys import read_key_values
 from kc2spice.report.fit_page import PlottedCurve, write_fit
+from kc2spice.rom.parametric_models import project_on_modes
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.scene_classes import Scene
 from kc2spice.workflow.body_fit import BodyFit
@@ -51,6 +52,9 @@ from kc2spice.workflow.misfit import (
 MAX_MISFIT = 0.5
 # cost of a minimum, relative to the smallest cost, above which the minimum counts as worse
 WORSE_COST_RATIO = 2.0
+# highest measured frequency, relative to the lowest resonance, below which the unit may be kHz
+LOW_FREQUENCY_RATIO = 1e-2
+KILO = 1e3
 UNKNOWN_CAUSE = (
     "the geometry, the material constants, the mounting, or a loss model that the part does not "
     "follow"
@@ -298,19 +302,28 @@ def _make_record(
         raise UsageError(
             "no values in the ranges give the measured impedance",
             where=body.data.where,
-            got=f"an rms misfit of {rms:.2g} times |Y| after {len(ends)} fits",
+            got="; ".join(
+                (
+                    f"an rms misfit of {rms:.2g} times |Y| after {len(ends)} fits",
+                    body.data.description,
+                    *body.data.notes,
+                )
+            ),
             expected=f"less than {MAX_MISFIT:g}",
-            hint="check the part, the unit of the frequency and the sign of the phase; "
+            hint=body.data.doubt
+            or _suggest_frequency_unit(body)
+            or "check the part, the unit of the frequency and the sign of the phase; "
             "with several keys, fit one key first, such as a thickness",
         )
     best = min(ends, key=attrgetter("cost"))
     resonances = match_resonances(body.data, start, end.exact)
     caution = _explain_misfit(body, end, resonances)
     if caution:
-        warnings.warn(f"{body.data.where}: {caution}", stacklevel=3)
+        warn_user(f"{body.data.where}: {caution}")
     return {
         "part": body.part,
         "data": body.data.where,
+        "read": [body.data.description],
         **described,
         "values": body.name_scene_keys(end.values),
         "error": compute_error_statistics(np.abs(np.abs(body.Y / end.exact) - 1)),
@@ -322,6 +335,25 @@ def _make_record(
         "models": body.counted[0],
         "notes": list(body.data.notes),
     }
+
+
+def _suggest_frequency_unit(body: BodyFit) -> str | None:
+    """Suggest a frequency column in kHz if Hz was assumed and the data are far too low.
+
+    The data are far too low if their highest frequency in Hz is below a hundredth of the lowest
+    resonance of the model.
+    """
+    if not any("no unit; Hz is assumed" in note for note in body.data.notes):
+        return None
+    model = body.make_full_model(read_key_values(body.keys), moved=False)
+    pencil = project_on_modes(model, KILO * float(body.data.f[-1]))
+    lowest = body.compute_modes_with_voltage_gains(pencil)[2]
+    if body.data.f[-1] > LOW_FREQUENCY_RATIO * lowest:
+        return None
+    return (
+        "if the frequencies are in kHz, write the title  frequency_khz: the lowest resonance of "
+        f"the model is at {lowest:.3g} Hz"
+    )
 
 
 def _explain_misfit(

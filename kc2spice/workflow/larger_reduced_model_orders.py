@@ -12,7 +12,6 @@ error is within the limit, if more states are not allowed or do not reduce the e
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -23,6 +22,7 @@ from typing import Any, NamedTuple
 
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.progress import StageTimer
+from kc2spice.core.user_warnings import warn_user
 from kc2spice.parts.bodies._body_checks import STATE_FACTOR
 from kc2spice.parts.bodies._body_model import get_reduction_settings
 from kc2spice.parts.bodies._linear_body import LinearBody
@@ -92,17 +92,14 @@ def rerun_with_larger_orders(run: Run, work: Path, clock: StageTimer) -> Run:
         scene, chosen, ends = _search_larger_orders(run, clock)
         if not chosen:
             for end in ends:
-                warnings.warn(end, stacklevel=3)
+                warn_user(end)
             return run
         better = _rerun_with_orders(run, scene, chosen, work, clock)
         if better is None:
             return run
         run = better
     for name in (check.name for check in _find_violated_checks(run).values()):
-        warnings.warn(
-            f"{name}: the error still exceeds its limit after {MAX_RERUNS} further runs",
-            stacklevel=3,
-        )
+        warn_user(f"{name}: the error still exceeds its limit after {MAX_RERUNS} further runs")
     return run
 
 
@@ -130,7 +127,7 @@ def _rerun_with_orders(
     """
     build = run.build
     for item in chosen:
-        warnings.warn(str(item), stacklevel=3)
+        warn_user(str(item))
     options: dict[str, Any] = {"trust": build.trust, "functions": build.functions}
     with TemporaryDirectory() as folder:
         try:
@@ -140,7 +137,7 @@ def _rerun_with_orders(
         except (SimulationError, UsageError) as error:
             message = f"the run with more states failed: {error.message}; "
             message += "the result of the previous run is kept"
-            warnings.warn(message, stacklevel=3)
+            warn_user(message)
             return None
         names = [item.part for item in chosen]
         before, after = (
@@ -150,7 +147,7 @@ def _rerun_with_orders(
         if after >= before:
             message = f"the run with more states has an error of {after:.2%}, not less than "
             message += f"{before:.2%}; the result of the previous run is kept"
-            warnings.warn(message, stacklevel=3)
+            warn_user(message)
             return None
         copytree(folder, work, dirs_exist_ok=True)
     return result

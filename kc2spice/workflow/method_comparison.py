@@ -121,7 +121,8 @@ def compare_methods(
 
 def require_method_option(name: str) -> None:
     """Raise an error if ``--method`` is not the name of a reduction method."""
-    require_method_name(name, "--method", "leave out --method: all methods are tried then")
+    plugin_hint = "install its package as in docs/how-to/own_reductor.md"
+    require_method_name(name, "--method", "leave out --method", plugin_hint)
 
 
 def _load_model(path: Path | str) -> LinearModel:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from kc2spice.core.errors import SimulationError, UsageError
+from kc2spice.core.user_warnings import warn_user
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.equations.scene_laws import SceneLaws
 from kc2spice.netlist.deck import Deck
@@ -70,9 +70,7 @@ def find_operating_point(build: BuiltScene, deck: Deck, laws: SceneLaws) -> Oper
         with TemporaryDirectory() as folder:
             point: Waveforms = run_deck(deck_at_rest, Path(folder))
     except (SimulationError, UsageError) as error:
-        warnings.warn(
-            f"the operating point of {scene.name} is not known: {error.message}", stacklevel=2
-        )
+        warn_user(f"the operating point of {scene.name} is not known: {error.message}")
         return OperatingPoint()
     values = {name: float(point[name][-1]) for name in deck_at_rest.units if name in point}
     checks: list[Check] = []

@@ -7,12 +7,12 @@ checks.
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 from kc2spice.core.errors import join_first
+from kc2spice.core.user_warnings import warn_user
 from kc2spice.netlist.edited_deck import DeckEdits
 from kc2spice.scene.scene_classes import BuiltScene, Part
 from kc2spice.workflow.part_models import replace_parts
@@ -26,10 +26,9 @@ def with_edited_parameters(build: BuiltScene, edits: DeckEdits, path: Path) -> B
     from the scene, and overrides of keys whose values the deck determines.
     """
     if edits.missing_state is not None:
-        warnings.warn(
+        warn_user(
             f"{path}: this run ignores initial positions, velocities or voltages of the scene, "
-            f"because the deck lacks {edits.missing_state}: add the missing text to the deck",
-            stacklevel=2,
+            f"because the deck lacks {edits.missing_state}: add the missing text to the deck"
         )
     _warn_about_options(edits, path)
     _warn_about_overrides(build, edits, path)
@@ -52,10 +51,9 @@ def with_edited_parameters(build: BuiltScene, edits: DeckEdits, path: Path) -> B
             parts[name] = other or part
     if reasons:
         lines = "; ".join(map(": ".join, reasons.items()))
-        warnings.warn(
+        warn_user(
             f"{path}: no key of the scene can express some edits of the deck; the run omits the "
-            f"checks and energy balances of these edited parts: {lines}",
-            stacklevel=2,
+            f"checks and energy balances of these edited parts: {lines}"
         )
     return replace_parts(build, parts, {*edits.cards, *reasons})
 
@@ -68,7 +66,7 @@ def _warn_about_options(edits: DeckEdits, path: Path) -> None:
     if different:
         options = ", ".join(different)
         problem = "options of the deck differ from the values of the scene (in brackets)"
-        warnings.warn(f"{path}: {problem}: {options}", stacklevel=2)
+        warn_user(f"{path}: {problem}: {options}")
 
 
 def _warn_about_overrides(build: BuiltScene, edits: DeckEdits, path: Path) -> None:
@@ -77,11 +75,10 @@ def _warn_about_overrides(build: BuiltScene, edits: DeckEdits, path: Path) -> No
     for key, origin in source.overrides.items() if source is not None else ():
         values = list(dict.fromkeys(_list_conflicting_deck_values(build, edits, key)))
         if values:
-            warnings.warn(
+            warn_user(
                 f"{path}: the run uses the values of the deck, which differ from {origin}: "
                 f"{join_first(values, '; ')}; leave out {origin}, or export a new deck with "
-                f"{origin} and edit the new deck",
-                stacklevel=2,
+                f"{origin} and edit the new deck"
             )
 
 

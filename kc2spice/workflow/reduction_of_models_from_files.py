@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import math
-import warnings
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from functools import cache
@@ -31,6 +30,7 @@ from kc2spice.core.files import stage_directory
 from kc2spice.core.progress import Progress, StageTimer, follow_stage, ignore_progress
 from kc2spice.core.quantities import convert_quantity
 from kc2spice.core.untrusted_files import make_identifier
+from kc2spice.core.user_warnings import warn_user
 from kc2spice.linalg.solver import require_solver, use_solver
 from kc2spice.netlist.deck import Deck, make_ac_command
 from kc2spice.netlist.deck_translation import write_dialect_files, write_symbol_files
@@ -85,6 +85,10 @@ DEFAULT_TOLERANCE = 1e-4
 # Largest error of a fit to a measured part, unless the data are noisy. With larger errors, no model
 # is written.
 MAX_MISFIT = 0.1
+METHODS_NOTE = (
+    "other methods may need fewer states, often without a proof of passivity: repeat the command "
+    "with --method compare, which prints the number of states of each method"
+)
 WARNING_MISFIT = 0.01  # smallest error of a fit to a measured part for which a warning is printed
 # Largest error of a fit to a measured part with noisy data, as a multiple of the rms noise.
 MAX_NOISE_RATIO = 3.0
@@ -132,9 +136,9 @@ def reduce_file(
     order : int, optional
         Number of unknowns of the reduced model; it replaces ``tolerance``.
     norm : "pointwise" or "peak", optional
-        Whether the error is relative to each value of the response (``"pointwise"``), or to the
-        peak of each entry of the response (``"peak"``). The default is ``"peak"`` for models whose
-        ports are all signals, and ``"pointwise"`` for all other models.
+        Whether the error is relative to each value of the response, but at least to a millionth of
+        the peak (``"pointwise"``), or to the peak of each entry (``"peak"``). The default is
+        ``"peak"`` for models whose ports are all signals, and ``"pointwise"`` for all other models.
     dc : str or float, optional
         Resistance of a measured one-port at zero frequency: ``"80 mOhm"``, a number in Ohm, or
         ``"open"``. By default, the resistance at zero frequency is extrapolated from the data.
@@ -147,8 +151,8 @@ def reduce_file(
     network : "foster" or "cauer", optional
         Form of the network of a model with one thermal port. The default is ``"foster"``.
     method : str, optional
-        Reduction method. By default, response POD and the suitable variants of balanced truncation
-        are compared.
+        Reduction method. By default, response POD is used. If all ports are signals, the suitable
+        variants of balanced truncation are compared with response POD.
     solver : "pardiso", optional
         Direct solver that the reduction uses instead of CHOLMOD and SuperLU.
     progress : callable, optional
@@ -223,12 +227,16 @@ def _reject_options(options: dict[str, Any], problem: str, expected: str) -> Non
     ------
     UsageError : one of the ``options`` has a value.
     """
-    for option, value in options.items():
-        if value is not None:
-            got = " ".join(f"{end:g}" for end in value) if isinstance(value, tuple) else value
-            raise UsageError(
-                problem, where=option, got=got, expected=expected, hint=f"leave out {option}"
-            )
+    stated = {option: value for option, value in options.items() if value is not None}
+    for option, value in stated.items():
+        got = " ".join(f"{end:g}" for end in value) if isinstance(value, tuple) else value
+        raise UsageError(
+            problem,
+            where=option,
+            got=got,
+            expected=expected,
+            hint=f"leave out {' and '.join(stated)}",
+        )
 
 
 def _reduce_matrices(
@@ -271,8 +279,20 @@ def _reduce_matrices(
         result = _write_reduced_model(model.name, model.order, make_reduced_model, out, tolerance)
     for check in check_mesh_values(model.name, model.facts, result["band_hz"][1]):
         if not check.passed:
-            warnings.warn(check.violation, stacklevel=2)
-    return result | {"full_form": describe_order(model)}
+            warn_user(check.violation)
+    facts = result | {"full_form": describe_order(model)}
+    if method is None and order is None and _may_need_fewer_states(model):
+        facts["notes"] = [METHODS_NOTE]
+    return facts
+
+
+def _may_need_fewer_states(model: LinearModel) -> bool:
+    """Return whether methods that are not tried by default may need fewer states.
+
+    For conservative ports, only congruences are tried by default. In symmetric first-order models,
+    balanced truncation is a congruence.
+    """
+    return not model.first_order and any(port.conservative for port in model.ports)
 
 
 def _read_full_model(path: Path | str, progress: Progress) -> LinearModel | AffineModel:
@@ -733,8 +753,11 @@ def make_example_deck(model: LinearModel, part: Subcircuit) -> Deck:
     driven = min(drivable, key=lambda port: PORT_KINDS.index(port.kind))
     (instance, *sources), answers = make_unit_load_cards(model, part, driven)
     words = {port.name: f".{port.domain.output_wave}" for port in model.ports if port.domain}
-    low, high = model.certificate.band_hz if model.certificate else (1.0, 1e6)
-    low = max(low, high / 1e3)
+    lowest, high = model.certificate.band_hz if model.certificate else (1.0, 1e6)
+    low = max(lowest, high / 1e3)
+    covered = (
+        f" The error estimate is valid from {lowest:g} to {high:g} Hz." if model.certificate else ""
+    )
     known = None if driven.domain is None else driven.domain.get_quantity(driven.domain.input_side)
     what = f"1 {known.unit}" if known else "one unit"
     title = f"{part.name}: response to {what} at {driven.name}"
@@ -743,7 +766,7 @@ def make_example_deck(model: LinearModel, part: Subcircuit) -> Deck:
         title=title,
         parts=(part,),
         vectors={f"{name}{words.get(name, '')}": result for name, result in answers.items()},
-        notes=(f"* Over the band of the certificate, {low:g} to {high:g} Hz.",),
+        notes=(f"* The analysis covers {low:g} to {high:g} Hz.{covered}",),
         items=(
             *add_title("the model", (instance,)),
             *add_title("excitation, and terminations of the other ports", sources),

@@ -9,13 +9,13 @@ load included; :mod:`kc2spice.reference.small_signal_analysis` states the equati
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Iterator
 from contextlib import suppress
 
 import numpy as np
 
 from kc2spice.core.errors import SimulationError, UsageError
+from kc2spice.core.user_warnings import warn_user
 from kc2spice.equations.scene_laws import SceneLaws
 from kc2spice.netlist.deck import AnalysisCommand, with_frequencies
 from kc2spice.reference.small_signal_analysis import LinearisedSystem
@@ -66,10 +66,9 @@ def list_refined_analyses(command: AnalysisCommand, laws: SceneLaws) -> tuple[An
         (f, width) for f, width in resonances if step * width < _compute_frequency_spacing(build, f)
     ]
     if len(narrow) > MAX_RESONANCES:
-        warnings.warn(
+        warn_user(
             f"{len(narrow)} resonances are narrower than the frequency step, and only the first "
-            f"{MAX_RESONANCES} are resolved; raise analysis.points or narrow the frequency range",
-            stacklevel=2,
+            f"{MAX_RESONANCES} are resolved; raise analysis.points or narrow the frequency range"
         )
     commands = [
         with_frequencies(command, place, place, 1) for place in _list_probe_frequencies(build)
@@ -159,11 +158,10 @@ def _find_poles_and_zeros(laws: SceneLaws) -> np.ndarray:
                 zeros[name] = linear.find_zeros(network.results[name], amplitudes)
     models = [model for model in laws.build.models.values() if isinstance(model, LinearModel)]
     if models and causes:
-        warnings.warn(
+        warn_user(
             f"the resonances of the circuit cannot be computed ({'; '.join(causes)}), so maxima of "
-            "results are searched only near the natural frequencies of the reduced models, and "
-            "some may be missed",
-            stacklevel=2,
+            "results are searched for only near the natural frequencies of the reduced models, and "
+            "some may be missed"
         )
         poles += [model.poles() for model in models]
     if unknown := sorted(minima if laws.parts_without_law else minima - zeros.keys()):
@@ -173,9 +171,8 @@ def _find_poles_and_zeros(laws: SceneLaws) -> np.ndarray:
             if missing
             else "the zeros of the response are unknown"
         )
-        warnings.warn(
-            f"the minimum of {', '.join(unknown)} is searched only at the frequencies of the "
-            f"analysis, because {reason}; raise analysis.points",
-            stacklevel=2,
+        warn_user(
+            f"the minimum of {', '.join(unknown)} is searched for only at the frequencies of "
+            f"the analysis, because {reason}; raise analysis.points"
         )
     return np.concatenate([np.zeros(0, complex), *poles, *zeros.values()])

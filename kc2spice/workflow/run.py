@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from functools import cached_property
@@ -13,6 +12,7 @@ from kc2spice.core import __version__
 from kc2spice.core.figure import Figure, FileWriter
 from kc2spice.core.files import stage_directory
 from kc2spice.core.progress import Progress, StageTimer, ignore_progress
+from kc2spice.core.user_warnings import warn_user
 from kc2spice.core.waveforms import write_record, write_waveforms
 from kc2spice.netlist.printers.plot_script import format_plot_script
 from kc2spice.report.matplotlib_figures import write_pngs
@@ -24,6 +24,7 @@ from kc2spice.scene.metrics import select_sound_levels
 from kc2spice.scene.numerical_settings import describe_plan
 from kc2spice.scene.results import NOISE_WAVE
 from kc2spice.scene.scene_classes import Scene
+from kc2spice.scene.undriven_parts import warn_of_undriven_parts
 from kc2spice.sim.ngspice import RetriesFailedError, Simulator, find_ngspice, write_files
 from kc2spice.synthesis.ringing_time import warn_of_long_run
 from kc2spice.workflow.decks import prepare_deck, protect_other_decks
@@ -82,6 +83,7 @@ class CompletedRun:
             "metrics": run.metrics,
             "metric_units": run.units,
             "metric_warnings": run.metric_warnings,
+            "metric_resolutions": run.metric_resolutions,
             "probes": {
                 name: {"of": probe.of, "take": probe.take}
                 for name, probe in build.scene.probes.items()
@@ -203,9 +205,7 @@ def complete_run(
                 if not suggested:
                     raise
                 keys = ", ".join(f"{key} = {value}" for key, value in suggested.items())
-                warnings.warn(
-                    f"{error.message}, {error.got}; the run is repeated with {keys}", stacklevel=2
-                )
+                warn_user(f"{error.message}, {error.got}; the run is repeated with {keys}")
                 automatic |= suggested
                 scene = load_scene(scene, suggested)
         # with an error budget, `converge_to_budget` instead changes the orders of reduced models
@@ -214,9 +214,10 @@ def complete_run(
         converged = converge_to_budget(result, clock) if deck is None else None
         if converged is not None:
             result = converged.run
+    warn_of_undriven_parts(result.build, result.waves)
     for check in result.verdict.checks:
         if not check.passed:
-            warnings.warn(check.violation, stacklevel=2)
+            warn_user(check.violation)
     return CompletedRun(result, simulator, clock.wall_s, converged)
 
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 import tempfile
-import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -25,10 +24,13 @@ from kc2spice.core.errors import SimulationError, UsageError, wrong
 from kc2spice.core.memory import find_available_bytes
 from kc2spice.core.mesh_error_descriptions import list_mesh_errors
 from kc2spice.core.progress import ERROR_BUDGET, StageTimer
+from kc2spice.core.si_prefix_format import format_quantity
+from kc2spice.core.user_warnings import warn_user
 from kc2spice.core.waveforms import interpolate
 from kc2spice.parts.bodies._meshed_bodies import MeshedBody
 from kc2spice.scene.checks import Check, require_passed
 from kc2spice.scene.load import load_scene
+from kc2spice.scene.metrics import find_probe_window
 from kc2spice.scene.numerical_settings import (
     NumericalSetting,
     find_finest_settings,
@@ -69,6 +71,10 @@ MAX_ADDED_STEPS = 3  # largest number of steps by which a setting is refined bet
 NEAR_ZERO_SHARE = 0.1
 # SMALL_SIGNAL_SHARE replaces NEAR_ZERO_SHARE in small-signal analyses.
 SMALL_SIGNAL_SHARE = 1e-6
+# Largest width of a spike, relative to the duration of the run.
+SPIKE_WIDTH = 1e-8
+# Smallest height of a spike, relative to the range of the waveform.
+SPIKE_SHARE = 0.1
 # largest ratio of successive error estimates that counts as convergence
 CONVERGENCE_RATIO = 0.9
 # The refinement ends after this number of successive steps that hardly reduce the error estimate.
@@ -398,21 +404,54 @@ def converge_to_budget(start: Run, clock: StageTimer) -> ConvergedRun | None:
             )
             break
         steps = moved
-    final = tried[-1] if tried else RunEstimate({}, {}, start)
+    final = min(tried, key=attrgetter("largest_error"), default=RunEstimate({}, {}, start))
     advice = f"raise error_budget, or {other} ({why})" if why else "raise error_budget"
     worst = max(final.errors, key=final.errors.__getitem__, default="its metrics")
+    if why and (spike := _describe_spike(worst, runs.run_cache.values())):
+        advice = f"{spike}; {advice}"
     check = Check(
         f"error of {worst}", final.largest_error, limit, "relative, estimated", advice, action
     )
     if final.settings:
         settings = ", ".join(final.settings)
-        warnings.warn(
+        warn_user(
             f"to reduce its errors to error_budget = {limit:g}, the run refined these settings: "
-            f"{settings}; the written deck and models contain the refined settings",
-            stacklevel=2,
+            f"{settings}; the written deck and models contain the refined settings"
         )
     require_passed((check,), scene.name)
     return ConvergedRun(final, check, tried, shares, runs.mesh_limits)
+
+
+def _describe_spike(metric: str, runs: Iterable[Run]) -> str:
+    """Describe a spike that determines a metric of a transient; empty without a spike.
+
+    The result is empty unless the metric is the maximum, minimum or peak-to-peak value of a
+    waveform. A maximum or minimum is a spike if the waveform differs much from it shortly before
+    and shortly after, at the distance :data:`SPIKE_WIDTH` times the duration of the run. The time
+    of a spike, and its height, differ between runs at random.
+    """
+    for run in runs:
+        probe, waves = run.build.scene.probes.get(metric), run.waves
+        if probe is None or probe.take not in ("max", "min", "peak_to_peak"):
+            return ""
+        if "time" not in waves or probe.of not in waves:
+            return ""
+        time, wave = waves["time"], waves[probe.of]
+        first, last = find_probe_window(probe, run.build.scene) or (-math.inf, math.inf)
+        inside = np.flatnonzero((time >= first) & (time <= last))
+        if not inside.size:
+            return ""
+        margin = SPIKE_WIDTH * float(np.ptp(time))
+        for k in (inside[wave[inside].argmax()], inside[wave[inside].argmin()]):
+            around = np.interp([time[k] - margin, time[k] + margin], time, wave)
+            if np.abs(wave[k] - around).min() > SPIKE_SHARE * np.ptp(wave[inside]):
+                at, width = format_quantity(time[k], "s", 5), format_quantity(2 * margin, "s", 2)
+                return (
+                    f"{probe.of} has a spike at {at} that is shorter than {width}, for example "
+                    f'caused by an ideal switch: set probes.{metric}.take = "rms", or give the '
+                    "switch a gradual transition"
+                )
+    return ""
 
 
 def _describe_limits(runs: RefinedRuns) -> Iterator[str]:
@@ -464,6 +503,7 @@ def estimate_errors(runs: RefinedRuns, steps: RefinementSteps) -> RunEstimate | 
             left = estimate_by_coarser_runs(runs, steps, unmoved, errors)
             fixed = max(left.values(), default=0.0)
             errors = {name: error + left[name] for name, error in errors.items()}
+            errors = _limit_to_resolution(errors, now)
             return RunEstimate(steps, settings, now, errors, unmoved, fixed)
     return None
 
@@ -556,6 +596,19 @@ def _try_run(runs: RefinedRuns, steps: RefinementSteps) -> Run | None:
         return runs.get_refined_run(steps) if runs.has_runs_left else None
     except (SimulationError, UsageError):
         return None
+
+
+def _limit_to_resolution(errors: Mapping[str, float], run: Run) -> dict[str, float]:
+    """Return error estimates that are at least the relative resolution of each metric.
+
+    The resolution of a metric between two points of a sweep is half of the sweep step.
+    """
+    result = dict(errors)
+    for name, resolution in run.metric_resolutions.items():
+        if name in result and run.values[name].any():
+            least = resolution / float(np.abs(run.values[name]).max())
+            result[name] = max(result[name], least)
+    return result
 
 
 def _estimate_metric_errors(run: Run, finer: Run) -> dict[str, float]:

@@ -6,7 +6,6 @@ import contextlib
 import os
 import shutil
 import time
-import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
@@ -18,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from kc2spice.core.errors import SimulationError
+from kc2spice.core.user_warnings import warn_user
 from kc2spice.core.waveforms import Waveforms, save_arrays, write_record
 from kc2spice.equations.scene_laws import SceneLaws, get_scene_laws
 from kc2spice.netlist.deck import Deck
@@ -48,6 +48,8 @@ class Run(RunOutcome):
 
     ``units`` are the SI units of metrics by dotted name, for metrics with a unit.
     ``metric_warnings`` are the warnings of metrics by dotted name, for metrics with a warning.
+    ``metric_resolutions`` are the resolutions of metrics, such as a pull-in voltage, whose exact
+    values lie between two points of a sweep.
     ``cpu_s`` is the CPU time [s] of the simulator including all retries.
     """
 
@@ -55,6 +57,7 @@ class Run(RunOutcome):
     metrics: Mapping[str, Any]
     units: Mapping[str, str]
     metric_warnings: Mapping[str, str]
+    metric_resolutions: Mapping[str, float]
     cpu_s: float
     point: OperatingPoint
 
@@ -176,7 +179,7 @@ def simulate_deck(
         names = ", ".join(build.functions)
         message = f"the simulation was repeated, and called the functions {names} again from "
         message += "time 0; a function must reset its stored values at time 0"
-        warnings.warn(message, stacklevel=2)
+        warn_user(message)
     used = measure_simulator_cpu(shared=shared) - begin
     waves = correct_waves(result.waves, build)
     waves = add_powers(waves, deck.powers)
@@ -190,6 +193,7 @@ def simulate_deck(
         metrics=results.values,
         units=results.units,
         metric_warnings=results.warnings,
+        metric_resolutions=results.resolutions,
         cpu_s=used,
         point=point,
     )

@@ -16,7 +16,7 @@ control resolves them. Waves that consist only of rounding errors also do not li
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from operator import attrgetter
@@ -24,12 +24,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from kc2spice.core.constitutive_laws import evaluate_combinations
+from kc2spice.core.constitutive_laws import IdealSource, evaluate_combinations
 from kc2spice.core.domains import DOMAINS
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.si_prefix_format import format_quantity
-from kc2spice.core.waveforms import Waveforms
+from kc2spice.core.waveforms import Waveform, Waveforms
 from kc2spice.equations.networks import Network, get_law_name, list_pin_kinds
+from kc2spice.equations.recorded_sources import SOURCE_KINDS, find_replayed_nets
 from kc2spice.equations.scene_laws import get_scene_laws
 from kc2spice.scene.checks import Check, RunEnergyBalance
 from kc2spice.scene.part_records import STEP_SET_BY_USER, PartResult, StepLimit
@@ -46,6 +47,11 @@ SHAPE_ERROR_LIMIT = 1e-3
 MAX_SHAPE_POINTS = 2e5
 # number of time points above which RMS_ERROR_LIMIT no longer reduces the step
 MAX_RMS_POINTS = 4e6
+# Largest relative error of the amplitude of a mode, if a part with unknown equations, such as a
+# user's netlist, excites the mode.
+# At half-power frequencies of a mode with the Q factor Q, a relative shift s of the natural
+# frequency changes the amplitude by the fraction Q s.
+MODE_AMPLITUDE_ERROR = 2.5e-3
 EQUAL_STEP_RATIO = 1.1  # largest ratio of two steps that count as equal
 MIN_POINTS = 1000  # smallest number of points of a run
 # Largest step [s] in nonlinear circuits; error control resolves faster changes.
@@ -96,6 +102,7 @@ def choose_largest_step(build: BuiltScene) -> StepLimit:
     for motion in linearised.exact_solutions:
         if motion is not None:
             limits.append(find_step(motion, start, rule))
+    limits += _limit_steps_by_natural_modes(build, start, rule)
     return min(limits, key=attrgetter("step"))
 
 
@@ -280,13 +287,9 @@ def find_step(motion: ExponentialSolution, start: StepLimit, rule: IntegrationRu
             shape <= SHAPE_ERROR_LIMIT or points >= MAX_SHAPE_POINTS
         )
 
-    if is_accurate(start.step):
+    h = _bisect_step(is_accurate, motion.stop, start.step)
+    if h == start.step:
         return start
-    low, high = motion.stop / MAX_RMS_POINTS, start.step
-    while high / low > EQUAL_STEP_RATIO:
-        middle = math.sqrt(low * high)
-        low, high = (middle, high) if is_accurate(middle) else (low, middle)
-    h = low
     observed = (peaks[:, outputs] / np.abs(exact).max(axis=0)).max(axis=1)
     delay = np.abs(rule.rates(modes.rates, h) - modes.rates)
     lasting = np.minimum(-1 / np.minimum(modes.rates.real, -1e-30), motion.stop)
@@ -296,6 +299,158 @@ def find_step(motion: ExponentialSolution, start: StepLimit, rule: IntegrationRu
         reasons.append(_describe_resonance(modes.rates[worst], modes.q_factors[worst]))
     reasons += [f"sine at {format_quantity(wave.frequency, 'Hz', 4)}" for _, wave in motion.sines]
     return StepLimit(float(f"{h:.3g}"), "; ".join(dict.fromkeys(reasons)))
+
+
+def _bisect_step(is_accurate: Callable[[float], bool], stop: float, start: float) -> float:
+    """Return the largest accurate time step [s], at most ``start``.
+
+    The run ends at the time ``stop`` [s], and has at most :data:`MAX_RMS_POINTS` time points.
+    """
+    if is_accurate(start):
+        return start
+    low, high = stop / MAX_RMS_POINTS, start
+    while high / low > EQUAL_STEP_RATIO:
+        middle = math.sqrt(low * high)
+        low, high = (middle, high) if is_accurate(middle) else (low, middle)
+    return low
+
+
+def _limit_steps_by_natural_modes(
+    build: BuiltScene, start: StepLimit, rule: IntegrationRule
+) -> Iterator[StepLimit]:
+    """Yield time steps that resolve natural modes, for networks without an exact solution.
+
+    A part without equations, such as a user's netlist, may excite a network at any frequency. The
+    natural modes are therefore computed twice: for free nets between the network and the part
+    without equations, and for prescribed values of these nets. Each resonant mode limits the step
+    according to its contribution to the waveforms. If the nets are prescribed and an exact solution
+    exists, the contribution of a mode is computed from the exact solution. Otherwise, the
+    contribution of a mode is estimated from its natural frequency.
+    """
+    linearised, stop = find_linearised_scene(build), build.scene.stop_time
+    missing = linearised.parts_without_network
+    for network, motion in zip(linearised.networks, linearised.exact_solutions, strict=True):
+        if motion is None or _has_unmodelled_neighbour(build, network, missing):
+            poles = _find_poles(network)
+            yield _find_step_of_modes(poles, _estimate_mode_shares(poles, stop), start, stop, rule)
+    for network, driven in _list_networks_with_prescribed_nets(build):
+        motion = _solve_network_from_rest(network, stop)
+        if motion is None:
+            poles = _find_poles(network)
+            shares = _estimate_mode_shares(poles, stop)
+        else:
+            poles, shares = motion.modes.rates, _find_mode_shares(motion, driven)
+        yield _find_step_of_modes(poles, shares, start, stop, rule)
+
+
+def _find_poles(network: Network) -> np.ndarray:
+    """Return the poles [1/s] of a network that is linearised at rest; empty if unknown.
+
+    The poles of a linear network do not depend on the equilibrium, which may not exist: for
+    example, a body without a support has no equilibrium.
+    """
+    from kc2spice.reference.small_signal_analysis import LinearisedSystem
+
+    # imported here, because the module loads scipy
+    from kc2spice.reference.system import assemble_system
+
+    try:
+        system = assemble_system(network.laws, network.joins, MAX_UNKNOWNS)
+        point: tuple[np.ndarray, list[object]] | None = None
+        if not system.devices:
+            point = np.zeros(system.size), []
+        return LinearisedSystem(system, point=point).poles
+    except (SimulationError, UsageError, np.linalg.LinAlgError):
+        return np.zeros(0, dtype=complex)
+
+
+def _list_networks_with_prescribed_nets(
+    build: BuiltScene,
+) -> Iterator[tuple[Network, frozenset[str]]]:
+    """Yield networks with nets whose values are prescribed by ideal sources.
+
+    These nets are connected to unmodelled parts. An unmodelled part is a part without equations,
+    such as a user's netlist. Each item contains a network and the names of the ideal sources, whose
+    values are zero.
+    """
+    laws, sources = get_scene_laws(build), list[IdealSource]()
+    try:
+        for net, kind in (find_replayed_nets(laws) or {}).items():
+            rest = Waveform(((0.0, 0.0),))
+            sources.append(IdealSource(f"net {net}", SOURCE_KINDS[kind], rest))
+        by_net = {source.name.removeprefix("net "): source for source in sources}
+        networks = laws.build_networks(by_net) if sources else ()
+    except UsageError:
+        return
+    names = frozenset(map(attrgetter("name"), sources))
+    for network in networks:
+        if not network.has_sources_only and not names.isdisjoint(network.law_names):
+            yield network, names
+
+
+def _estimate_mode_shares(poles: np.ndarray, stop: float) -> np.ndarray:
+    """Estimate how much the modes contribute to waveforms, from their poles alone.
+
+    The share of a resonant mode decreases with the third power of its frequency. The slowest
+    resonant mode has the share 1, and modes without resonance have the share 0. Poles whose period
+    exceeds the end time ``stop`` [s] also have the share 0. For example, the exact pole of a
+    rigid-body mode is 0, and rounding errors change it into a pole with a very long period.
+    """
+    q_factors = np.abs(poles) / np.maximum(-2 * poles.real, 1e-30)
+    resonant = (q_factors > RESONANT_Q) & (np.abs(poles) * stop > 2 * math.pi)
+    frequencies = np.where(resonant, np.abs(poles), np.inf)
+    slowest = frequencies.min(initial=np.inf)
+    return np.asarray((slowest / frequencies) ** 3 if resonant.any() else np.zeros(poles.size))
+
+
+def _find_mode_shares(motion: ExponentialSolution, driven: Collection[str]) -> np.ndarray:
+    """Return how much each resonant mode contributes to waveforms, relative to the largest.
+
+    The sources with the names ``driven`` change as the square of the time. Such sources excite
+    modes of high frequency only weakly, as do the high harmonics of a square wave. The result (m,)
+    is the largest share of each mode in any waveform, and 0 for modes without resonance.
+    """
+    from kc2spice.reference.small_signal_analysis import CANCELLATION_ROUNDING
+
+    # imported here, because the module loads scipy
+    modes = motion.modes
+    resonant, shares = modes.q_factors > RESONANT_Q, np.zeros(modes.rates.size)
+    for k, source in enumerate(motion.linear.system.sources):
+        if source.name in driven:
+            amplitudes = resonant * np.abs(modes.drive[:, k] / modes.rates**3)
+            peaks = amplitudes * np.abs(modes.out)
+            largest = peaks.max(axis=1, initial=0.0)
+            real = largest > CANCELLATION_ROUNDING * (modes.terms @ amplitudes)
+            relative = peaks[real] / largest[real, None]
+            shares = np.maximum(shares, relative.max(axis=0, initial=0.0))
+    return shares
+
+
+def _find_step_of_modes(
+    rates: np.ndarray, shares: np.ndarray, start: StepLimit, stop: float, rule: IntegrationRule
+) -> StepLimit:
+    """Return the largest time step with which modes keep their frequency and damping.
+
+    ``rates`` (m,) [1/s] are the poles of the modes, and ``shares`` (m,) their shares in the
+    waveforms. A step changes the pole r of a mode by ``d``. The mode remembers its excitation for
+    the time ``T = min(-1 / Re r, stop)``. The relative change of the waveforms is about ``|d| T``,
+    times the share of the mode.
+    """
+    lasting = np.minimum(-1 / np.minimum(rates.real, -1e-30), stop)
+
+    def compute_mode_errors(h: float) -> np.ndarray:
+        """Compute the relative waveform error of each mode, (m,), for a time step [s]."""
+        return np.asarray(shares * np.abs(rule.rates(rates, h) - rates) * lasting)
+
+    limit = 2 * MODE_AMPLITUDE_ERROR
+    h = _bisect_step(
+        lambda h: float(compute_mode_errors(h).max(initial=0.0)) <= limit, stop, start.step
+    )
+    if h == start.step:
+        return start
+    worst = int(compute_mode_errors(h).argmax())
+    quality = abs(rates[worst]) / max(-2 * rates[worst].real, 1e-30)
+    return StepLimit(float(f"{h:.3g}"), _describe_resonance(rates[worst], quality))
 
 
 def _describe_resonance(rate: complex, quality: float) -> str:

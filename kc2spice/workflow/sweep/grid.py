@@ -8,7 +8,6 @@ string is a single value.
 from __future__ import annotations
 
 import re
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -21,6 +20,7 @@ from kc2spice.core.errors import UsageError, did_you_mean, list_candidates
 from kc2spice.core.quantities import convert_quantity
 from kc2spice.core.unit_spelling import find_range_ends
 from kc2spice.core.units import NUMBER_WITH_UNIT, parse_unit
+from kc2spice.core.user_warnings import warn_user
 from kc2spice.scene.keys import KeyDescription
 from kc2spice.scene.overrides import parse_override_value
 
@@ -67,6 +67,34 @@ class RandomSample:
 # --- one range ------------------------------------------------------------------------------------
 
 
+class ProposedRangeError(UsageError):
+    """Error for an invalid range, whose hint proposes another range.
+
+    ``text`` is the invalid range, and ``proposal`` is the proposed range. By default, ``got`` is
+    the invalid range, and ``hint`` is to write the proposed range.
+    """
+
+    def __init__(
+        self,
+        message: str,
+        *,
+        text: str,
+        proposal: str,
+        expected: str | None,
+        where: str = "--set",
+        got: object = None,
+        hint: str | None = None,
+    ) -> None:
+        super().__init__(
+            message,
+            where=where,
+            got=text if got is None else got,
+            expected=expected,
+            hint=hint or f"write {proposal}",
+        )
+        self.text, self.proposal = text, proposal
+
+
 def _make_zero_crossing_error(text: str) -> UsageError:
     """Return the error about a logarithmic range that begins at, ends at or crosses 0."""
     return UsageError(
@@ -95,14 +123,13 @@ def split_range(text: str) -> tuple[str, list[str]]:
         words = _split_words(call[2], ",")
         if len(words) != 3:
             last = "MEAN,DEVIATION,POINTS" if call[1] == "normal" else "LOW,HIGH,POINTS"
-            raise UsageError(
+            first, factor = words[0] or "1", 0.1 if call[1] == "normal" else 10
+            known = words[:2] if len(words) >= 2 else [first, scale_quantity(first, factor)]
+            raise ProposedRangeError(
                 f"{call[1]} needs three values",
-                where="--set",
-                got=text,
+                text=text,
                 expected=f"{call[1]}({last})",
-                hint=f"write {call[1]}({','.join([*words[:2], '50'])}) for 50 points"
-                if len(words) >= 2
-                else f"write the three values, such as {call[1]}(1,2,50)",
+                proposal=join_range(call[1], [*known, "50"]),
             )
         return call[1], words
     _require_known_distribution(text)
@@ -110,28 +137,62 @@ def split_range(text: str) -> tuple[str, list[str]]:
     words = _split_words(text, ":")
     if len(words) > 1:
         kind, words = ("log", words[1:]) if words[0] == "log" else ("linear", words)
-        if len(words) != 3:
-            prefix = "log:" if kind == "log" else ""
-            raise UsageError(
+        if len(words) != 3 or not all(words):
+            first = next((word for word in words if word and not _ZERO_NUMBER.match(word)), "1")
+            stated = len(words) > 1 and all(words[:2])
+            limits = words[:2] if stated else [first, scale_quantity(first, 10)]
+            points = "".join(words[2:3]) or "5"
+            raise ProposedRangeError(
                 "a range needs a first value, a last value and a number of points",
-                where="--set",
-                got=text,
-                expected=f"{prefix}FIRST:LAST:POINTS",
-                hint=f"write {prefix}{':'.join([*words, '5'][:3])}" if len(words) > 1 else None,
+                text=text,
+                expected=join_range(kind, ["FIRST", "LAST", "POINTS"]),
+                proposal=join_range(kind, [*limits, points]),
             )
         if kind == "log" and any(map(_ZERO_NUMBER.match, words[:2])):
             raise _make_zero_crossing_error(text)
         return kind, words
     if ends := find_range_ends(text, hyphen=False):
-        raise UsageError(
+        raise ProposedRangeError(
             "this string is neither a value, nor a list of values, nor a range",
-            where="--set",
+            text=text,
             got=repr(text),
             expected="a value, a list VALUE,VALUE or a range FIRST:LAST:POINTS",
-            hint=f"write {':'.join(ends)}:5",
+            proposal=f"{':'.join(ends)}:5",
         )
     words = _split_words(text, ",")
+    if len(words) > 1 and any(words) and not all(words):
+        raise ProposedRangeError(
+            "a value is missing beside a comma of this list",
+            text=text,
+            got=repr(text),
+            expected="a list VALUE,VALUE without empty values",
+            proposal=",".join(filter(None, words)),
+        )
     return ("list", words) if len(words) > 1 else ("value", words)
+
+
+def join_range(kind: str, words: Sequence[str]) -> str:
+    """Return the text of a range from its kind and its fields.
+
+    >>> join_range("log", ["1", "2", "5"]), join_range("normal", ["1", "0.1", "5"])
+    ('log:1:2:5', 'normal(1,0.1,5)')
+    """
+    if kind in ("normal", "uniform"):
+        return f"{kind}({','.join(words)})"
+    prefix = "log:" if kind == "log" else ""
+    return prefix + ("," if kind == "list" else ":").join(words)
+
+
+def scale_quantity(word: str, factor: float) -> str:
+    """Return a number with its unit, multiplied by a factor.
+
+    A word that is not a number is returned unchanged.
+
+    >>> scale_quantity("2 mm", 10)
+    '20 mm'
+    """
+    number = NUMBER_WITH_UNIT.fullmatch(word)
+    return f"{factor * float(number[1]):g} {number[2]}".strip() if number else word
 
 
 def _require_known_distribution(text: str) -> None:
@@ -145,12 +206,11 @@ def _require_known_distribution(text: str) -> None:
     words = _split_words(call[2], ",") if call else []
     if call and len(words) == 3 and all(map(NUMBER_WITH_UNIT.fullmatch, words)):
         kind = "normal" if call[1].lower() in _NORMAL_NAMES else "uniform"
-        raise UsageError(
+        raise ProposedRangeError(
             f"the distribution {call[1]} does not exist",
-            where="--set",
-            got=text,
+            text=text,
             expected="normal(MEAN,DEVIATION,POINTS) or uniform(LOW,HIGH,POINTS)",
-            hint=f"write {kind}({','.join(words)})",
+            proposal=join_range(kind, words),
         )
 
 
@@ -163,12 +223,11 @@ def _require_comma_separators(text: str) -> None:
     """
     words = _split_words(text, ";")
     if len(words) > 1 and all(map(NUMBER_WITH_UNIT.fullmatch, words)):
-        raise UsageError(
+        raise ProposedRangeError(
             "this list has semicolons between its values, instead of commas",
-            where="--set",
-            got=text,
+            text=text,
             expected="a list VALUE,VALUE with commas",
-            hint=f"write {','.join(words)}",
+            proposal=",".join(words),
         )
 
 
@@ -221,12 +280,12 @@ def _find_unequal_unit_use(
         begin = text.index(word, end)
         advice, end = advice + text[end:begin] + spelling, begin + len(word)
     plain = f"a number without a unit is in {si_unit}" if si_unit else "or plain numbers only"
-    return UsageError(
+    return ProposedRangeError(
         "only some of these values have a unit",
         where=where,
-        got=text,
+        text=text,
         expected=f"a unit at every value; {plain}",
-        hint=f"write {advice}{text[end:]}",
+        proposal=f"{advice}{text[end:]}",
     )
 
 
@@ -290,11 +349,10 @@ def parse_range(name: str, text: str, keys: Mapping[str, KeyDescription]) -> Val
             require_equal_unit_use(words[:2], text, where, key.unit)
         # a list may contain SI numbers beside values with a unit on purpose
         elif problem := _find_unequal_unit_use(words, text, where, key.unit, is_list=True):
-            warnings.warn(
+            warn_user(
                 f"{where}: {problem.message}; numbers without a unit are "
                 f"{f'in {key.unit}' if key.unit else 'not in percent'}; if all values have the "
-                f"same unit, {problem.hint}",
-                stacklevel=2,
+                f"same unit, {problem.hint}"
             )
     if kind in ("list", "value"):
         values = list(map(partial(_parse_word, where, key), words))
@@ -314,8 +372,17 @@ def parse_range(name: str, text: str, keys: Mapping[str, KeyDescription]) -> Val
         if not count.isdecimal() or not 2 <= int(count) <= MAX_POINTS:
             expected = f"a whole number of points, 2 to {MAX_POINTS}"
             known = text.removesuffix(count) if text.endswith(count) else ""
-            hint = f"write {known}5 for five points" if known else "write 5 as last value"
-            raise make_range_error("not a number of points", repr(count), expected, hint)
+            message = "not a number of points"
+            if not known:
+                raise make_range_error(message, repr(count), expected, "write 5 as last value")
+            raise ProposedRangeError(
+                message,
+                where=where,
+                text=text,
+                got=repr(count),
+                expected=expected,
+                proposal=f"{known}5",
+            )
         a, b = map(float, map(partial(_parse_word, where, key), words[:2]))
         if kind == "normal" and b < 0:
             raise make_range_error(
@@ -324,8 +391,14 @@ def parse_range(name: str, text: str, keys: Mapping[str, KeyDescription]) -> Val
                 hint=f"write {words[1].lstrip('-')} in place of {words[1]}",
             )
         if kind == "uniform" and b < a:
-            hint = f"write uniform({words[1]},{words[0]},{words[2]})"
-            raise make_range_error("the range is empty", f"{a:g} … {b:g}", hint=hint)
+            raise ProposedRangeError(
+                "the range is empty",
+                where=where,
+                text=text,
+                got=f"{a:g} … {b:g}",
+                expected=RANGE_GRAMMAR,
+                proposal=join_range(kind, [words[1], words[0], words[2]]),
+            )
         if is_random:
             return RandomSample(kind, a, b, int(count))
         if kind == "log" and not a * b > 0:
@@ -339,8 +412,12 @@ def parse_range(name: str, text: str, keys: Mapping[str, KeyDescription]) -> Val
             )
         values = list(map(int, values)) if key.integer else values
     if len(set(map(repr, values))) < len(values):
-        once = list(dict.fromkeys(words))
-        hint = f"write {name}={','.join(once)}" if kind == "list" else "write two different ends"
+        unique_words = list(dict.fromkeys(words))
+        hint = (
+            f"write {name}={','.join(unique_words)}"
+            if kind == "list"
+            else "write two different ends"
+        )
         raise make_range_error("a value occurs twice in this range", text, hint=hint)
     return tuple(values)
 

@@ -9,14 +9,16 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 import shlex
 import time
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass
 from datetime import timedelta
-from functools import cached_property
+from functools import cached_property, partial
 from importlib import resources
 from importlib.resources.abc import Traversable
 from itertools import chain, islice
@@ -36,16 +38,20 @@ from kc2spice.core.units import NUMBER_WITH_UNIT
 from kc2spice.core.untrusted_files import MAX_TEXT_BYTES, decode_text, parse_toml, read_bounded
 from kc2spice.netlist.transforms import with_parameters
 from kc2spice.scene.keys import list_scene_keys
+from kc2spice.scene.load import UNKNOWN_KEY
 from kc2spice.scene.overrides import expand_overrides
 from kc2spice.scene.scene_classes import Scene, compute_scene_hash
 from kc2spice.workflow.sweep.grid import (
     PARAMETER_KEY,
     RANGE_GRAMMAR,
+    ProposedRangeError,
     SweepPoints,
     find_swept_key,
+    join_range,
     make_plan,
     parse_range,
     parse_value,
+    scale_quantity,
     split_range,
 )
 from kc2spice.workflow.sweep.point import (
@@ -72,6 +78,8 @@ WRITERS = {"csv": write_csv, "parquet": write_parquet}
 
 ROWS_FILE = "rows.sqlite"
 PAGE_FILE = "sweep.html"
+# largest number of faults of one range that a proposed range corrects
+_MAX_CORRECTIONS = 4
 LOST_POINT = PointResult(failure="its worker process died, twice", interrupted=True)
 
 
@@ -141,6 +149,58 @@ def make_sweep(
     ------
     UsageError : a range is invalid, a key is unknown, or a value is not allowed.
     """
+    make = partial(
+        _make_sweep,
+        scene,
+        zipped=zipped,
+        latin=latin,
+        seed=seed,
+        metrics=metrics,
+        timeout=timeout,
+    )
+    try:
+        return make(sets)
+    except ProposedRangeError as error:
+        texts, proposal = list(sets), error.proposal
+        k = next(k for k, text in enumerate(sets) if text.partition("=")[2].strip() == error.text)
+        name = texts[k].partition("=")[0].strip()
+        # the proposed range may have further faults, which are corrected one by one
+        for _ in range(_MAX_CORRECTIONS):
+            texts[k] = f"{name}={proposal}"
+            try:
+                with warnings.catch_warnings(action="ignore"):
+                    make(texts)
+                break
+            except ProposedRangeError as next_error:
+                if next_error.text != proposal:
+                    break  # an error about another range
+                error.hint, proposal = next_error.hint, next_error.proposal
+            except UsageError as next_error:
+                if _concerns_key(next_error, name):
+                    hint = str(next_error.hint)
+                    error.hint = hint if proposal in hint else f"{error.hint}; {hint}"
+                break
+        raise
+
+
+def _make_sweep(
+    scene: SceneInput,
+    sets: Sequence[str],
+    *,
+    zipped: bool,
+    latin: bool,
+    seed: int,
+    metrics: Sequence[str],
+    timeout: float | None,
+) -> Sweep:
+    """Make a sweep from strings ``KEY=RANGE``.
+
+    If an error proposes a range, the function does not check whether the proposed range is valid.
+
+    Raises
+    ------
+    UsageError : a range is invalid, a key is unknown, or a value is not allowed.
+    """
     fixed, constants = [], []
     firsts, ranges = dict[str, str](), dict[str, str]()
     for text in sets:
@@ -179,15 +239,18 @@ def make_sweep(
         return scene.load((*fixed, *(f"{k}={word}" for k, word in {**firsts, **changed}.items())))
 
     with (
+        _propose_accepted_range(ranges, load_first_values),
         _name_range_in_errors(ranges, at_first_value=True),
-        _advise_negated_range(ranges, load_first_values),
     ):
         keys = list_scene_keys(load_first_values({}))
     parsed = {name: parse_range(name, value, keys) for name, value in ranges.items()}
     plan = make_plan(parsed, zipped=zipped, latin=latin, seed=seed)
     units = {key: find_swept_key(key, keys).unit or "" for key in plan.keys}
     job = SweepSettings(scene, tuple(fixed), tuple(constants), timeout)
-    with _name_range_in_errors(ranges):
+    with (
+        _propose_accepted_range(ranges, load_first_values),
+        _name_range_in_errors(ranges),
+    ):
         return make_sweep_of_points(job, plan, units, tuple(dict.fromkeys(metrics)))
 
 
@@ -204,23 +267,32 @@ def _name_range_in_errors(
         yield
     except UsageError as error:
         for name, text in ranges.items():
-            if error.message == OUT_OF_RANGE and (error.where or "").startswith(f"--set '{name}="):
-                kind, words = split_range(text)
+            if not _concerns_key(error, name):
+                continue
+            kind, words = split_range(text)
+            too_wide = kind == "normal" and not at_first_value
+            if too_wide:
+                error.hint = _advise_normal_range(words)
+            elif error.message == OUT_OF_RANGE and at_first_value:
+                error.hint = f"write a value {error.expected} in place of {words[0]}"
+            elif error.message == OUT_OF_RANGE:
+                error.hint = f"write a range of values {error.expected}"
+            if error.message == UNKNOWN_KEY and at_first_value:
+                first_value, full_range = f"{name}={words[0]}", f"{name}={text}"
+                option = rf"--set '?([\w.\[\]]*{re.escape(first_value)})'?"
+                for item in re.finditer(option, error.hint or ""):
+                    quoted = shlex.quote(item[1].replace(first_value, full_range))
+                    error.hint = str(error.hint).replace(item[0], f"--set {quoted}", 1)
+            if too_wide or error.message in (OUT_OF_RANGE, UNKNOWN_KEY):
                 error.where = f"--set '{name}={text}'"
-                if at_first_value:
-                    error.hint = f"write a value {error.expected} in place of {words[0]}"
-                elif kind == "normal":
-                    error.hint = _advise_normal_range(words)
-                else:
-                    error.hint = f"write a range of values {error.expected}"
         raise
 
 
 @contextmanager
-def _advise_negated_range(
+def _propose_accepted_range(
     ranges: Mapping[str, str], load: Callable[[Mapping[str, str]], object]
 ) -> Iterator[None]:
-    """Advise the negated range if a key rejects its range, but accepts the negated values.
+    """Propose a range of accepted values if a key rejects the sign of values in its range.
 
     ``ranges`` are the ranges by key. ``load`` loads the scene with changed values of keys.
     """
@@ -228,20 +300,89 @@ def _advise_negated_range(
         yield
     except UsageError as error:
         for name, text in ranges.items():
-            kind, words = split_range(text)
-            ends = words if kind == "list" else words[:2]
-            rejected = (error.where or "").startswith(f"--set '{name}=")
-            if rejected and kind in ("list", "linear", "log") and "-" not in text:
-                negated = [f"-{word}" for word in ends]
-                with suppress(UsageError):
-                    for word in negated:
-                        load({name: word})
-                    separator = "," if kind == "list" else ":"
-                    prefix = ["log"] if kind == "log" else []
-                    joined = separator.join((*prefix, *negated, *words[len(ends) :]))
-                    error.where = f"--set '{name}={text}'"
-                    error.hint = f"write --set {shlex.quote(f'{name}={joined}')}"
+            if not _concerns_key(error, name):
+                continue
+
+            def is_accepted(word: str, name: str = name) -> bool:
+                """Return whether the scene accepts a value of the rejected key."""
+                with suppress(UsageError), warnings.catch_warnings(action="ignore"):
+                    load({name: word})
+                    return True
+                return False
+
+            proposal = _find_accepted_range(text, is_accepted)
+            if proposal is not None:
+                raise ProposedRangeError(
+                    error.message,
+                    text=text,
+                    proposal=proposal,
+                    expected=error.expected,
+                    where=f"--set '{name}={text}'",
+                    got=error.got,
+                    hint=f"write --set {shlex.quote(f'{name}={proposal}')}",
+                ) from None
         raise
+
+
+def _concerns_key(error: UsageError, name: str) -> bool:
+    """Return whether an error is about a value of the swept key ``name``."""
+    return (error.where or "").startswith(f"--set '{name}=")
+
+
+def _find_accepted_range(text: str, is_accepted: Callable[[str], bool]) -> str | None:
+    """Return a range like ``text`` whose values have the sign that a key accepts.
+
+    ``is_accepted`` returns whether the key accepts a value. The result is None if the signs of the
+    values are not the reason why the key rejects the range.
+    """
+    kind, words = split_range(text)
+    count = {"list": len(words), "normal": 1}.get(kind, 2)
+    ends = words[:count]
+    numbers = list(map(NUMBER_WITH_UNIT.fullmatch, ends))
+    values = [float(number[1]) for number in numbers if number]
+    if len(values) < len(ends):
+        return None
+    negated = list(map(_negate_number, ends))
+    if kind == "uniform":
+        negated.reverse()  # the first value must be the lower value
+    accepted: list[str] | None = None
+    if min(values) > 0 or max(values) < 0:
+        accepted = negated if all(map(is_accepted, negated)) else None
+    elif kind in ("linear", "uniform"):
+        accepted = _propose_range_of_accepted_sign(
+            ends, is_accepted
+        ) or _propose_range_of_accepted_sign(negated, is_accepted)
+    return None if accepted is None else join_range(kind, [*accepted, *words[count:]])
+
+
+def _negate_number(word: str) -> str:
+    """Return a number with the other sign, with its unit.
+
+    >>> _negate_number("1 m/s"), _negate_number("-1 m/s")
+    ('-1 m/s', '1 m/s')
+    """
+    return word.removeprefix("-") if word.startswith("-") else f"-{word.removeprefix('+')}"
+
+
+def _propose_range_of_accepted_sign(
+    ends: Sequence[str], is_accepted: Callable[[str], bool]
+) -> list[str] | None:
+    """Propose a range of the accepted sign.
+
+    The range is between the accepted end value and half of this end value.
+    The result is None if both ends are rejected, or if the key accepts values of both signs.
+
+    >>> _propose_range_of_accepted_sign(["-1", "2 m"], lambda word: not word.startswith("-"))
+    ['1 m', '2 m']
+    """
+    first, last = ends
+    halves = ((first, scale_quantity(first, 0.5)), (scale_quantity(last, 0.5), last))
+    # a value near 0 is rejected only because of its sign
+    near_zero = [scale_quantity(word, 1e-3) for word in (last, first)]
+    for half, word in zip(halves, near_zero, strict=True):
+        if half[0] != half[1] and all(map(is_accepted, half)) and not is_accepted(word):
+            return list(half)
+    return None
 
 
 def _advise_normal_range(words: Sequence[str]) -> str:
@@ -418,13 +559,13 @@ def run_points(
     again: list[int] = []
     known = False
     for index, outcome in _complete_points(definition, points, workers):
-        if outcome.failure is None and not known:
-            require_columns(outcome, definition.metrics, definition.scene.name)
-            known = True
         if outcome.interrupted:
             again.append(index)
         else:
-            yield index, outcome
+            yield index, outcome  # the point is stored even if a column does not exist
+        if outcome.failure is None and not known:
+            require_columns(outcome, definition.metrics, definition.scene.name)
+            known = True
     if again:
         yield from _complete_points(definition, again, workers, at_once=1)
 
