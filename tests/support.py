@@ -46,11 +46,13 @@ NAMES_BY_MODULE = {
     "kc2spice.core.argument_and_option_names": (
         "replace_options_by_arguments replace_arguments_by_options"
     ),
+    "kc2spice.core.attribute_advice": "AdvisesOnAttributes",
     "kc2spice.core.cache": "load_or_build",
     "kc2spice.core.domains": (
         "CONSERVATIVE DOMAINS PORTS QUANTITIES SPICE_UNITS TABLE find_across_quantity find_domain"
     ),
     "kc2spice.core.equality": "have_same_content",
+    "kc2spice.core.error_norms": "NORM_WORDS PEAK_SHARE",
     "kc2spice.core.errors": (
         "GateMissedError Kc2spiceError MissingToolError SimulationError UsageError did_you_mean"
     ),
@@ -64,6 +66,7 @@ NAMES_BY_MODULE = {
     "kc2spice.core.memory_store": "Workspace",
     "kc2spice.core.mesh_error_descriptions": "MESH_ERROR_PREFIX MESH_QUANTITIES list_mesh_errors",
     "kc2spice.core.optional_libraries": "OPTIONAL_LIBRARIES import_optional",
+    "kc2spice.core.other_file_formats": "CAD MESH=MESH_FORMAT SURFACE identify_format",
     "kc2spice.core.plugins": "list_entry_points load_plugin",
     "kc2spice.core.probe_values": "compute_mean_frequency",
     "kc2spice.core.progress": (
@@ -107,7 +110,7 @@ NAMES_BY_MODULE = {
     ),
     "kc2spice.fem.materials": "Material find_material",
     "kc2spice.fem.mesh_cells": "CellBlock make_quadratic_mesh reject_folded_elements",
-    "kc2spice.fem.mesh_file": "measure_extent read_mesh",
+    "kc2spice.fem.mesh_file": "FILE_FORMATS SURFACE_SUFFIXES measure_extent read_mesh",
     "kc2spice.fem.solid": "Solid assemble_solid compute_node_shares find_mesh_frequency_limit",
     "kc2spice.fem.thermal_materials": (
         "find_resistance_coefficient find_thermal_material load_thermal_library"

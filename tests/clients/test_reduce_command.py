@@ -168,4 +168,7 @@ def test_an_unknown_method_lists_five_methods(tmp_path):
     text = " ".join(done.output.split())
     assert "--method: this reduction method does not exist" in text
     assert "balanced truncation" in text
-    assert "in all" in text
+    assert "in all: kc2spice reduce MODEL --method compare)" in text
+    done = run(tmp_path / "rod", "--method", "modal truncation", "--out", tmp_path / "out")
+    text = " ".join(done.output.split())
+    assert "did you mean 'balanced truncation'? For your own method, install its package" in text

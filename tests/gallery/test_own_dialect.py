@@ -4,7 +4,7 @@ import re
 from pathlib import Path
 
 import pytest
-from commands import python, typed
+from commands import install_package, python, typed
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "how-to" / "own_dialect.md").read_text(encoding="utf-8")
@@ -18,11 +18,7 @@ def package(tmp_path_factory):
     first, *_ = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
     (entry,) = re.findall(r"```toml\n(.*?)```", PAGE, re.DOTALL)
     (folder / "example_dialect.py").write_text(first, encoding="utf-8")
-    points = re.fullmatch(r'\[project\.entry-points\."([\w.]+)"\]\n(\w+) = "(\S+)"\n', entry)
-    installed = folder / "example_dialect-1.0.dist-info"
-    installed.mkdir()
-    (installed / "METADATA").write_text("Metadata-Version: 2.1\nName: example\nVersion: 1.0\n")
-    (installed / "entry_points.txt").write_text(f"[{points[1]}]\n{points[2]} = {points[3]}\n")
+    install_package(folder, entry)
     return folder
 
 

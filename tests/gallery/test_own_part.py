@@ -5,7 +5,7 @@ import shlex
 from pathlib import Path
 
 import pytest
-from commands import python, typed
+from commands import install_package, python, typed
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "how-to" / "own_part.md").read_text(encoding="utf-8")
@@ -23,11 +23,7 @@ def package(tmp_path_factory):
     entry, scene = blocks("toml")
     (folder / "solenoid.py").write_text(part, encoding="utf-8")
     (folder / "pull.toml").write_text(scene, encoding="utf-8")
-    points = re.fullmatch(r'\[project\.entry-points\."([\w.]+)"\]\n(\w+) = "(\S+)"\n', entry)
-    installed = folder / "solenoid-1.0.dist-info"
-    installed.mkdir()
-    (installed / "METADATA").write_text("Metadata-Version: 2.1\nName: solenoid\nVersion: 1.0\n")
-    (installed / "entry_points.txt").write_text(f"[{points[1]}]\n{points[2]} = {points[3]}\n")
+    install_package(folder, entry)
     return folder
 
 

@@ -6,7 +6,7 @@ import shlex
 from pathlib import Path
 
 import pytest
-from commands import python, typed
+from commands import install_package, python, typed
 from support import registry
 
 ROOT = Path(__file__).parents[2]
@@ -55,11 +55,7 @@ def test_the_command_finds_an_installed_method(tmp_path):
     (entry,) = re.findall(r"```toml\n(.*?)```", PAGE, re.DOTALL)
     (command,) = re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL)
     (tmp_path / "modal_truncation.py").write_text(blocks[0], encoding="utf-8")
-    parts = re.fullmatch(r'\[project\.entry-points\."([\w.]+)"\]\n(\w+) = "(\S+)"\n', entry)
-    installed = tmp_path / "modal_truncation-1.0.dist-info"
-    installed.mkdir()
-    (installed / "METADATA").write_text("Metadata-Version: 2.1\nName: modal\nVersion: 1.0\n")
-    (installed / "entry_points.txt").write_text(f"[{parts[1]}]\n{parts[2]} = {parts[3]}\n")
+    install_package(tmp_path, entry)
     matrices = next(block.partition("chain =")[0] for block in blocks if "chain =" in block)
     (tmp_path / "save.py").write_text(f"{matrices}\n{blocks[-1]}", encoding="utf-8")
     python(tmp_path, "save.py")

@@ -208,7 +208,7 @@ RING = {"inner": "2 mm", "outer": "4 mm"}
         ({"layers": []}, "at least 1"),
         ({"layers": [BRASS]}, "has no piezoelectric layer"),
         ({"layers": [BRASS | {"electrodes": "5 mm"}, CERAMIC]}, "not piezoelectric"),
-        ({"layers": [BRASS, CERAMIC | {"electrodes": "15 mm"}]}, "larger than its layer"),
+        ({"layers": [BRASS, CERAMIC | {"electrodes": "15 mm"}]}, "larger than their layer"),
         ({"layers": [BRASS, CERAMIC | {"diameter": "14 s"}]}, "wrong unit"),
         ({"layers": [BRASS, CERAMIC | {"thickness": 0}]}, "> 0"),
         ({"layers": [BRASS, CERAMIC | {"glue": 1}]}, "unknown key"),

@@ -193,6 +193,75 @@ def test_axisymmetric_mesh_is_the_disc(tmp_path):
         assert found[name] == pytest.approx(own[name], rel=1e-3), name
 
 
+def column(gmsh):
+    """The half section of a column of 5 mm radius and 4 mm height in the x-y plane, in mm."""
+    gmsh.model.occ.addRectangle(0, 0, 0, 5, 4)
+    gmsh.model.occ.synchronize()
+    boxes = {"low": (-1, -1e-6, -1, 9, 1e-6, 1), "high": (-1, 4 - 1e-6, -1, 9, 5, 1)}
+    edges = {
+        (1, name): [t for _, t in gmsh.model.getEntitiesInBoundingBox(*box, 1)]
+        for name, box in boxes.items()
+    }
+    return {(2, "steel"): [1], **edges}
+
+
+COLUMN = {
+    "mesh": "column.msh", "unit": "mm", "axisymmetric": True,
+    "materials": {"steel": {"density": 7800, "youngs_modulus": 2e11, "poisson_ratio": 0.3}},
+    "fixed": [{"group": "low", "axes": "z"}],
+    "ports": [{"name": "top", "group": "high", "axis": "z"}],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("place", [{"group": "high"}, {"at": (0.0, 0.0, 4e-3)}])
+def test_the_height_of_a_half_section_is_z(tmp_path, place):
+    """A force F shortens a column on rollers by F h / (E A); y of the file is z of the keys."""
+    write(tmp_path / "column.msh", column, size=1.0, mesh=2)
+    model = build_fe_model(
+        COLUMN | {"ports": [{"name": "top", "axis": "z", **place}]}, tmp_path
+    ).model
+    facts = model.facts
+    assert facts["extent_outer_radius_mm"] == pytest.approx(5.0)
+    assert facts["extent_height_mm"] == pytest.approx(4.0)
+    assert "extent_inner_radius_mm" not in facts
+    if "group" in place:
+        moved = model.transfer(np.array([1e-3]))[0, 0, 0].real
+        assert moved == pytest.approx(4e-3 / (2e11 * np.pi * 5e-3**2), rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("keys", "where", "advice"),
+    [
+        ({"ports": [{"name": "top", "group": "high", "axis": "y"}]}, "ports[0].axis", 'axis = "z"'),
+        ({"ports": [{"name": "top", "group": "high", "axis": (1, 1, 0)}]}, "ports[0].axis",
+         'axis = "z"'),
+        ({"ports": [{"name": "b", "kind": "base", "axis": "x"}]}, "ports[0].axis", 'axis = "z"'),
+        ({"ports": [{"name": "top", "at": (0, 4e-3, 0), "axis": "z"}]}, "ports[0].at",
+         "third coordinate"),
+        ({"fixed": [{"group": "low", "axes": "y"}]}, "fixed[0].axes", 'axes = "z"'),
+        ({"fixed": ["low", {"group": "low", "axes": "xy"}]}, "fixed[1].axes", 'axes = "xz"'),
+        ({"poling": {"steel": (0, 1, 0)}}, "poling.steel", "[0, 0, 1]"),
+    ],
+)  # fmt: skip
+def test_a_half_section_has_no_direction_y(tmp_path, keys, where, advice):
+    with pytest.raises(UsageError) as caught:
+        build_fe_model(COLUMN | keys, tmp_path)
+    assert caught.value.where == f"body.{where}"
+    assert advice in caught.value.hint
+    assert "the mesh file contains the height as y" in caught.value.hint
+
+
+def test_points_of_poling_vectors_of_a_half_section_have_no_y(tmp_path):
+    write(tmp_path / "column.msh", column, size=1.0, mesh=2)
+    table = COLUMN | {"materials": {"steel": "PZT-5A"}, "poling": {"steel": {"file": "p.csv"}}}
+    table["electrodes"] = {"anode": "high", "cathode": "low"}
+    (tmp_path / "p.csv").write_text("x,y,z,px,py,pz\n1,2,0,0,0,1\n")
+    with pytest.raises(UsageError, match="row 2: the point is not in the plane"):
+        build_fe_model(table, tmp_path)
+    (tmp_path / "p.csv").write_text("x,y,z,px,py,pz\n1,0,2,0,0,1\n")
+    build_fe_model(table, tmp_path)
+
+
 RING = {"radius": 10.0, "wall": 0.5, "height": 0.5}  # mm, the radius that of the middle
 
 

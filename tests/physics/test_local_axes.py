@@ -278,7 +278,7 @@ def test_hoop_poling_of_a_section_is_refused(tmp_path):
     table = {"mesh": "ring.msh", "unit": "mm", "axisymmetric": True}
     table |= {"materials": {"ring": "PZT-5A"}, "poling": {"ring": {"file": "p.csv"}}}
     table |= {"electrodes": {"anode": "inner", "cathode": "outer"}}
-    with pytest.raises(UsageError, match="row 3: the poling is not in the plane"):
+    with pytest.raises(UsageError, match="row 3: the poling direction is not in the plane"):
         build_fe_model(table, tmp_path)
 
 

@@ -5,6 +5,7 @@ import json
 import os
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 from support import app
@@ -34,6 +35,26 @@ def python(folder, *words, path=()):
 def typed(folder, commands, path=()):
     """Output of ``kc2spice`` for commands that are lists of words, one after the other."""
     return python(folder, "-c", EACH, json.dumps(commands), path=path)
+
+
+def install_package(folder, text):
+    """Make the installed form of a package of one module in ``folder``, from its pyproject.toml.
+
+    ``pip install .`` would write the same metadata, and copy only the modules in ``py-modules``.
+    """
+    settings = tomllib.loads(text)
+    project = settings["project"]
+    assert settings["build-system"]["build-backend"] == "setuptools.build_meta"
+    ((group, points),) = project["entry-points"].items()
+    ((name, value),) = points.items()
+    (module,) = settings["tool"]["setuptools"]["py-modules"]
+    assert value.startswith(f"{module}:")
+    assert (folder / f"{module}.py").is_file()
+    installed = folder / f"{project['name'].replace('-', '_')}-{project['version']}.dist-info"
+    installed.mkdir()
+    label = f"Name: {project['name']}\nVersion: {project['version']}\n"
+    (installed / "METADATA").write_text(f"Metadata-Version: 2.1\n{label}")
+    (installed / "entry_points.txt").write_text(f"[{group}]\n{name} = {value}\n")
 
 
 def session(leader):

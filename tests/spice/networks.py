@@ -26,6 +26,7 @@ FUNCTIONS = {
     "max": larger, "min": lambda a, b: -larger(-a, -b), "uramp": lambda x: larger(x, 0.0),
     "pwl": lookup, "exp": np.exp, "ln": np.log, "sqrt": np.sqrt, "real": np.real,
     "floor": lambda x: np.floor(np.real(x)),
+    "choose": lambda condition, value, other: value if condition else other,
 }  # fmt: skip
 
 
@@ -54,7 +55,10 @@ class Network:
     def __init__(self, text, parameters, library=None, *, switches=False):
         self.elements, self.library, self.switches = [], library, switches
         scope = {**FUNCTIONS, **{k.lower(): v for k, v in parameters.items()}}
-        (self.verilog if "endmodule" in text else self.spice)(text.lower(), scope)
+        # comparisons are 1 or 0
+        text = re.sub(r"\?[\s+]+1(\.0)?[\s+]+:[\s+]+0(\.0)?\b", "", text.lower())
+        text = re.sub(r"\bif\(", "choose(", text)
+        (self.verilog if "endmodule" in text else self.spice)(text, scope)
 
     def add(self, kind, name, a, b, text, scope, at=str, prefix=""):
         def probe(found):

@@ -149,5 +149,5 @@ def test_several_curves_of_a_finite_element_body_are_fitted():
 
 def test_a_fit_without_convergence_is_a_warning(monkeypatch):
     monkeypatch.setattr(circuit_fit, "MAX_EVALUATIONS", 2)
-    with pytest.warns(UserWarning, match="ended after 2 steps before it converged"):
+    with pytest.warns(UserWarning, match="did not converge within 2 steps"):
         kc.fit(scene(), "woofer", measure(0.0), {"re": (5, 7), "fs": (40, 50)})

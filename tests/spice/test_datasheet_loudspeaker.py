@@ -105,8 +105,8 @@ def test_a_mass_on_the_cone_lowers_the_resonance():
 @pytest.mark.parametrize(
     ("keys", "message"),
     [
-        ({"fs": 50.0, "re": 6.0}, "these values do not determine the circuit"),
-        ({"fs": 50.0, "re": 6.0, "qms": 3.0, "qes": 0.5, "vas": 0.03}, "do not determine"),
+        ({"fs": 50.0, "re": 6.0}, "the stated values do not fully determine the circuit"),
+        ({"fs": 50.0, "re": 6.0, "qms": 3.0, "qes": 0.5, "vas": 0.03}, "do not fully determine"),
         (SHEET | {"bl": 20.0}, "contradicts"),
         (SHEET | {"tolerance": {"sd": 0.1}}, "but no value of"),
         ({"fs": 50.0, "re": 6.0, "qms": 3.0, "qts": 3.5, "mms": 0.01}, "no circuit has"),

@@ -1,8 +1,11 @@
 """Resonators and crystals from data sheets: their netlists in ngspice against closed forms."""
 
+import re
+import subprocess
+
 import numpy as np
 import pytest
-from support import list_dialect_names
+from support import list_dialect_names, read_catalogue
 
 import kc2spice as kc
 
@@ -118,8 +121,8 @@ def test_a_contradiction_lists_both_values_and_their_implications():
 @pytest.mark.parametrize(
     ("keys", "message"),
     [
-        ({"fs": FS, "keff": 0.2, "c0": C0}, "these values do not determine the circuit"),
-        ({}, "these values do not determine the circuit"),
+        ({"fs": FS, "keff": 0.2, "c0": C0}, "the stated values do not fully determine the circuit"),
+        ({}, "the stated values do not fully determine the circuit"),
         ({"fs": 7e3, "fp": 6e3, "c0": C0, "rm": 1.0}, "parallel resonance is not above"),
         ({"fs": FS, "keff": 0.2, "c0": C0, "zs": 1e6}, "exceeds the reactance of the clamped"),
         (
@@ -156,6 +159,76 @@ def test_a_missing_value_is_named():
     with pytest.raises(kc.errors.UsageError) as caught:
         kc.load_scene(scene(fs=FS, keff=0.2, c0=C0))
     assert caught.value.expected == "1 more value of rm, qm, zs"
+
+
+def test_a_usual_coupling_factor_completes_a_sheet_without_one():
+    """The advised value is within the coupling factors of the listed buzzer discs."""
+    keys = {"fs": FS, "zs": 200.0, "c_low": 10e-9}
+    with pytest.raises(kc.errors.UsageError, match="do not fully determine") as caught:
+        kc.load_scene(scene(**keys))
+    advised = float(re.search(r"keff = ([\d.]+)", caught.value.hint)[1])
+    assert kc.run(scene(**keys, keff=advised)).metrics["coupling"] == pytest.approx(advised, 1e-3)
+    discs = [part.keys for part in read_catalogue().values() if part.device == "buzzer disc"]
+    listed = [float(found[1]) for keys in discs if (found := re.search(r"keff = (.*)", keys))]
+    assert len(listed) == 5
+    assert min(listed) <= advised <= max(listed)
+    low, high = map(float, re.search(r"have ([\d.]+) to ([\d.]+)", caught.value.hint).groups())
+    assert (low, high) == pytest.approx((min(listed), max(listed)), abs=5e-3)
+
+
+CRYSTAL = {"kind": "crystal", "f": 1e6, "cl": 12e-12, "c0": 3e-12}
+LIBRARIES = {
+    "keff": {name: sheet()[name] for name in ("fs", "keff", "c_low", "zs")},
+    "fp": {name: sheet()[name] for name in ("fs", "fp", "c0", "qm")},
+    "cm": {name: sheet()[name] for name in ("fs", "cm", "c_low", "rm")},
+    "l1": {**CRYSTAL, "l1": 2.6, "q": 5e4},
+    "c1": {**CRYSTAL, "c1": 10e-15, "r1": 50.0},
+}
+
+
+@pytest.mark.parametrize(
+    ("library", "setting", "words"),
+    [
+        ("keff", "", ""),
+        ("keff", "keff=0.5", ""),
+        ("keff", "keff=1.2", "keff_must_be_between_0_and_1"),
+        ("keff", "keff=1", "keff_must_be_between_0_and_1"),
+        ("keff", "zs=4000", "zs_must_be_below_the_reactance_of_c0"),
+        ("keff", "zs=-1", "zs_must_be_above_0"),
+        ("keff", "fs=900", "fs_must_be_at_least_1000"),
+        ("fp", "", ""),
+        ("fp", "fp=6k", "fp_must_be_above_fs"),
+        ("fp", "qm=0", "qm_must_be_above_0"),
+        ("cm", "", ""),
+        ("cm", "cm=20n", "c_low_must_be_above_the_sum_of_cm"),
+        ("l1", "", ""),
+        ("l1", "l1=1m", "l1_is_too_small_for_f_c0_and_cl"),
+        ("c1", "", ""),
+        ("c1", "r1=-5", "r1_must_be_above_0"),
+    ],
+)
+def test_a_library_stops_the_simulator_outside_of_its_ranges(library, setting, words, tmp_path):
+    keys = LIBRARIES[library]
+    kc.export(scene(**keys), tmp_path)
+    part = keys.get("kind", "bvd")
+    deck = (
+        f"test\n.include {part}.lib\nV1 a 0 DC 0 AC 1\nX1 a 0 {part} {setting}\n"
+        ".ac lin 2 5k 6k\n.print ac v(a)\n.end\n"
+    )
+    (tmp_path / "own.cir").write_text(deck)
+    command = ["ngspice", "-b", "own.cir"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    log = done.stdout + done.stderr
+    assert (f"rx1.r{words}" in log.replace("r.x1", "rx1")) is bool(words)
+    assert ("No. of Data Rows : 2" in log) is not words
+
+
+def test_the_header_of_a_library_states_the_ranges(tmp_path):
+    kc.export(scene(**LIBRARIES["keff"]), tmp_path)
+    (library,) = kc.read_lib(tmp_path / "bvd.lib")
+    params = {p.name: (p.low, p.high) for p in library.params}
+    assert params["keff"] == (pytest.approx(0, abs=1e-29), 1)
+    assert params["fs"] == (1000, np.inf)
 
 
 def test_a_sweep_varies_the_capacitance_within_its_tolerance():

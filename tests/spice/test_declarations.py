@@ -252,9 +252,10 @@ def worst_slope(name):
 
 @pytest.mark.parametrize("name", sorted(set(DECLARED) - PLAIN))
 def test_the_law_follows_its_declaration(name):
-    """1e-10: the oracle's differences of charges; the energy is complete to rounding."""
+    """1e-9: the oracle's differences of charges, and rounding of the distances of plates that are a
+    thousand times their gap apart; the energy is complete to rounding."""
     through, powers = worst_law(name)
-    assert through < 1e-10
+    assert through < 1e-9
     assert powers < 1e-12
     assert worst_slope(name) < 1e-12
 

@@ -408,3 +408,33 @@ def test_heat_loss_by_a_cubic_law_sets_the_time_step(cooling):
                       max_step=0.05).y[0]  # fmt: skip
     assert waves["time"].size < 20_000
     np.testing.assert_allclose(waves["plate.temperature"], exact, atol=1e-4 * exact.max())
+
+
+OPENED_COMB = {
+    "name": "opened",
+    "comb": {"part": "comb_drive", "fingers": 50, "thickness": 1e-5, "gap": 2e-6, "overlap": 1e-6,
+             "travel": 1e-5, "pins": {"plus": "drive.out", "a": "spring.a"}},
+    "spring": {"part": "spring", "stiffness": 1.0},
+    "drive": {"part": "source", "dc": 0.0},
+    "push": {"part": "source", "kind": "force", "dc": -2e-6, "pins": {"out": "spring.a"}},
+    "analysis": {"type": "dc", "sweep": "drive.dc", "from": 0.0, "to": 1.0, "points": 11},
+}  # fmt: skip
+
+
+def test_a_violated_limit_names_the_key_to_change():
+    with pytest.raises(
+        kc.errors.SimulationError, match="the two combs no longer overlap"
+    ) as caught:
+        kc.run(OPENED_COMB)
+    assert caught.value.hint == "raise the key comb.overlap"
+    kc.run(OPENED_COMB | {"comb": OPENED_COMB["comb"] | {"overlap": 3e-6}})
+
+
+def test_all_remedies_belong_to_limits():
+    limited = 0
+    for kind in parttype.load_part_types().values():
+        declaration = getattr(kind, "declaration", None)
+        if declaration is not None and declaration.limits:
+            limited += 1
+            assert declaration.remedies.keys() <= declaration.limits.keys()
+    assert limited >= 5

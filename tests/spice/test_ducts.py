@@ -219,9 +219,9 @@ def test_an_open_acoustic_pin_is_refused(kind):
 
 WARNINGS = [
     ({"duct": {"part": "cavity", "volume": 1e-3}}, r"above 343\.2 Hz the cavity of 100 mm"),
-    ({"duct": {"part": "tube", "length": 0.1, "radius": 0.05}}, "further modes propagate"),
+    ({"duct": {"part": "tube", "length": 0.1, "radius": 0.05}}, "higher-order modes propagate"),
     ({"duct": {"part": "vent", "length": 0.01, "radius": 1e-3, "pins": {"b": "mouth.face"}},
-      "mouth": {"part": "radiation", "radius": 1e-3}}, 'fluid outside of end b counts twice'),
+      "mouth": {"part": "radiation", "radius": 1e-3}}, 'outside of end b is counted twice'),
     ({"duct": {"part": "tube", "length": 20.0, "radius": 1e-3}}, "needs 4371 sections"),
 ]  # fmt: skip
 

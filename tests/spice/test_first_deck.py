@@ -22,6 +22,8 @@ def emitted(folder, table, **arrays):
     found = reduce_file(folder / "m.npz", folder / "rom", tolerance=1e-8)
     files = [path.name for path in export_rom(found["rom"], folder / "out")]
     assert {"m_rom.lib", "m_rom.asy", "kc2spice.kicad_sym", "m_rom_response.cir"} <= set(files)
+    deck = (folder / "out" / "m_rom_response.cir").read_text(encoding="utf-8")
+    assert "covers 30 to 30000 Hz. The error estimate is valid from 10 to 30000 Hz." in deck
     command = [find_ngspice().path, "-b", "-n", "-r", "out.raw", "m_rom_response.cir"]
     done = subprocess.run(command, cwd=folder / "out", capture_output=True, check=False)
     assert done.returncode == 0, done.stdout

@@ -509,6 +509,149 @@ def test_a_resistor_of_pspice_at_absolute_zero_has_no_noise():
     assert diode.parameters == {"temp": "50"}
 
 
+# Controlled sources of PSpice, with their values at the voltages a and b. Va and Vb carry a / 10
+# and b / 10. The load of 1 Ohm and the resistor of 1 Ohm in the subcircuit halve a current.
+SOURCES = {
+    "E1 o 0 POLY(2) (a,0) (b,0) 0 .5 .5": lambda a, b: 0.5 * a + 0.5 * b,
+    "E1 o 0 poly(2) a 0 b 0 1 2 3 4 5 6":
+        lambda a, b: 1 + 2 * a + 3 * b + 4 * a * a + 5 * a * b + 6 * b * b,
+    "E1 o 0 POLY (1) (a b) -1 2": lambda a, b: -1 + 2 * (a - b),
+    "E1 o 0 POLY(1) a 0 2": lambda a, b: 2 * a,
+    "E1 o 0 POLY(1) a 0 {-k} {k * (1 + k)}": lambda a, b: -3 + 12 * a,
+    "G1 0 o POLY(2) (a,0) (b,0) 0 .5 .5": lambda a, b: (0.5 * a + 0.5 * b) / 2,
+    "F1 0 o POLY(2) Va Vb 1 2 3": lambda a, b: (1 + 0.2 * a + 0.3 * b) / 2,
+    "F1 0 o POLY(1) Va 2": lambda a, b: 0.1 * a,
+    "H1 o 0 POLY (1) (Va) 1 20": lambda a, b: 1 + 2 * a,
+    "H1 o 0 POLY(1) Va 20": lambda a, b: 2 * a,
+    "E1 o 0 VALUE={2*V(a)-1}": lambda a, b: 2 * a - 1,
+    "E1 (o,0) VALUE = {-V(a)}": lambda a, b: -a,
+    "E1 o 0 VALUE={5}": lambda a, b: 5 + 0 * a,
+    "E1 o 0 VALUE={k}": lambda a, b: 3 + 0 * a,
+    "E1 o 0 VALUE={(V(a)+1)*(V(b)+2)}": lambda a, b: (a + 1) * (b + 2),
+    "E1 o 0 VALUE={2*I(Va)+1}": lambda a, b: 0.2 * a + 1,
+    "E1 o 0 VALUE={0.5*V(a,b)+LIMIT(2*V(a),-1,1)}":
+        lambda a, b: 0.5 * (a - b) + np.clip(2 * a, -1, 1),
+    "E1 o 0 VALUE={0.5*V(b)+TABLE(V(a),-1,0,1,3)}":
+        lambda a, b: 0.5 * b + np.clip(1.5 * (a + 1), 0, 3),
+    "G1 0 o VALUE={2*V(a)-1}": lambda a, b: (2 * a - 1) / 2,
+    "E1 o 0 (a,b) 2": lambda a, b: 2 * (a - b),
+    "G1 (0,o) (a,b) {k}": lambda a, b: 1.5 * (a - b),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("syntax", ["pspice", "ltspice"])
+@pytest.mark.parametrize("card", SOURCES)
+def test_controlled_sources_of_other_simulators_have_their_values(card, syntax, tmp_path):
+    library = (
+        ".subckt own a b o params: k=3\nRa a ma 10\nVa ma 0 0\nRb b mb 10\nVb mb 0 0\n"
+        f"Ro o 0 1\n{card}\n.ends\n"
+    )
+    result = run(tmp_path, library, """pins = { a = "va.out", b = "vb.out", o = "load.a" }
+[load]
+part = "resistor"
+resistance = "1 Ohm"
+[va]
+part = "source"
+[vb]
+part = "source"
+dc = "0.7 V"
+[analysis]
+type = "dc"
+sweep = "va.dc"
+from = -2
+to = 2.5
+points = 10
+""", syntax)  # fmt: skip
+    volts = np.linspace(-2, 2.5, 10)
+    expected = SOURCES[card](volts, 0.7)
+    assert result.waves["load.v"] == pytest.approx(expected, rel=1e-4, abs=1e-8)
+
+
+# Boyle model (G. R. Boyle et al., IEEE J. Solid-State Circuits 9 (1974) 353) of an op-amp.
+BOYLE = """
+.subckt amp 1 2 3 4 5
+c1 11 12 5.544E-12
+c2 6 7 20.00E-12
+dc 5 53 dx
+de 54 5 dx
+dlp 90 91 dx
+dln 92 90 dx
+dp 4 3 dx
+egnd 99 0 poly(2) (3,0) (4,0) 0 .5 .5
+fb 7 99 poly(5) vb vc ve vlp vln 0 15.91E6 -20E6 20E6 20E6 -20E6
+ga 6 0 11 12 125.7E-6
+gcm 0 6 10 99 7.067E-9
+iee 3 10 dc 10.04E-6
+hlim 90 0 vlim 1K
+q1 11 2 13 qx
+q2 12 1 14 qx
+r2 6 9 100.0E3
+rc1 4 11 7.957E3
+rc2 4 12 7.957E3
+re1 13 10 2.773E3
+re2 14 10 2.773E3
+ree 10 99 19.92E6
+ro1 8 5 50
+ro2 7 99 50
+rp 3 4 30.31E3
+vb 9 0 dc 0
+vc 3 53 dc 2.100
+ve 54 4 dc .6
+vlim 7 8 dc 0
+vlp 91 0 dc 40
+vln 0 92 dc 40
+.model dx D(Is=800.0E-18 Rs=1)
+.model qx PNP(Is=800.0E-18 Bf=250)
+.ends
+"""
+
+
+@pytest.mark.parametrize("syntax", ["pspice", "ltspice", "ngspice"])
+def test_an_op_amp_macro_of_boyle_amplifies_by_its_feedback(syntax, tmp_path):
+    library = BOYLE + (
+        ".subckt own in out vcc\nX1 in fb vcc 0 out amp\nRf fb out 10k\nRg fb mid 10k\n"
+        "Vm mid 0 1\n.ends\n"
+    )
+    result = run(tmp_path, library, """pins = { in = "sig.out", out = "load.a", vcc = "supply.out" }
+[load]
+part = "resistor"
+resistance = "10 kOhm"
+[supply]
+part = "source"
+dc = "12 V"
+[sig]
+part = "source"
+dc = "2.5 V"
+[analysis]
+type = "op"
+""", syntax)  # fmt: skip
+    assert result.waves["load.v"][0] == pytest.approx(1 + 2 * (2.5 - 1), rel=1e-3)
+
+
+def test_a_scene_sets_the_parameters_of_a_subcircuit(tmp_path):
+    """A divider of 1 kOhm and RL: the ratio is RL / (RL + 1 kOhm)."""
+    library = ".subckt own in out params: RL=1k\nR1 in out 1k\nR2 out 0 {RL}\n.ends\n"
+    scene = """pins = { in = "drive.out", out = "load.a" }
+[load]
+part = "resistor"
+resistance = "1 TOhm"
+[drive]
+part = "source"
+dc = "1 V"
+[analysis]
+type = "op"
+[probes]
+v = { of = "load.v" }
+"""
+    run(tmp_path, library, scene, "ngspice")
+    loaded = kc.load_scene(tmp_path / "scene.toml")
+    table = kc.sweep(loaded, {"own.parameters.rl": [1e3, 3e3]}, workers=1)
+    assert table["v"] == pytest.approx([0.5, 0.75], rel=1e-6)
+    with pytest.raises(UsageError, match="the subcircuit has no such parameter") as caught:
+        kc.load_scene(loaded, {"own.parameters.RX": 1e3})
+    assert caught.value.hint == "write rl in place of RX"
+
+
 def test_a_laplace_transform_of_pspice_is_refused():
     text = "E1 a 0 LAPLACE {V(b)} = {1/(1+s)}\n"
     with pytest.raises(UsageError, match="Laplace transform"):

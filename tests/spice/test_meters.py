@@ -164,3 +164,55 @@ def test_two_bodies_in_series_take_half_the_current_of_one(tmp_path):
         (tmp_path / f"{name}.toml").write_text(SERIES + more)
     one, two = (kc.run(kc.load_scene(tmp_path / f"{name}.toml")) for name in ("one", "two"))
     assert two.metrics["i"] == pytest.approx(0.5 * one.metrics["i"], rel=1e-6)
+
+
+def make_blocked_bender(tip):
+    """A bender of two PZT layers on a metal shim, at 60 V; ``tip`` is the target of its pin."""
+    ceramic = {
+        "density": 7800, "symmetry": "6mm",
+        "compliance": {"s11": 15e-12, "s12": -4.5e-12, "s13": -5.7e-12, "s33": 19e-12,
+                       "s44": 39e-12},
+        "strain_coupling": {"d31": -210e-12, "d33": 500e-12, "d15": 580e-12},
+        "permittivity": {"eps11": 1980, "eps33": 2400}, "permittivity_at": "stress",
+    }  # fmt: skip
+    shim = {"density": 8200, "youngs_modulus": 110e9, "poisson_ratio": 0.33, "conductor": True}
+    layers = [
+        {"thickness": 0.25e-3, "material": ceramic},
+        {"thickness": 0.1e-3, "material": shim},
+        {"thickness": 0.25e-3, "material": ceramic},
+    ]
+    return {
+        "name": "blocked",
+        "beam": {"part": "bimorph", "length": 30e-3, "width": 5e-3, "wiring": "parallel",
+                 "layers": layers, "damping": {"quality": 40},
+                 "pins": {"anode": "drive.out", "tip": tip}},
+        "drive": {"part": "source", "dc": 60.0},
+        "analysis": {"type": "op"},
+        "probes": {"force_n": {"of": "beam.tip.force", "take": "final"}},
+    }  # fmt: skip
+
+
+def test_the_blocked_force_of_a_bender_is_the_force_of_the_wall():
+    """The moment M of the layers bends a beam; a force 3 M / (2 L) at its tip bends it back.
+
+    M = 2 (d31 / s11) (V / t) w t (distance of a layer's middle from the middle of the beam).
+    """
+    moment = 2 * (210e-12 / 15e-12) * 60 / 0.25e-3 * 5e-3 * 0.25e-3 * 0.175e-3
+    found = kc.run(make_blocked_bender("gnd")).metrics["force_n"]
+    assert found == pytest.approx(-1.5 * moment / 30e-3, rel=0.01)  # the wall pushes back
+    wall = make_blocked_bender("wall.out") | {
+        "wall": {"part": "source", "kind": "displacement", "dc": 0.0}
+    }
+    assert kc.run(wall).metrics["force_n"] == pytest.approx(found, rel=1e-6)
+
+
+@pytest.mark.parametrize("result", ["beam.tip.power", "beam.tip.x", "beam.u.tip"])
+def test_the_motion_of_a_pin_on_ground_is_refused_and_the_advice_works(result):
+    scene = make_blocked_bender("gnd")
+    scene["probes"]["more"] = {"of": result, "take": "final"}
+    with pytest.raises(UsageError, match="pin tip of beam is on ground") as caught:
+        kc.run(scene)
+    assert caught.value.hint == f"write beam.tip.force in place of {result}"
+    scene["probes"]["more"]["of"] = "beam.tip.force"
+    metrics = kc.run(scene).metrics
+    assert metrics["more"] == metrics["force_n"]

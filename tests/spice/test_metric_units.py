@@ -209,3 +209,33 @@ def test_facts_of_models_have_units():
         "resonance_short_hz": "Hz",
         "extent_x_mm": "mm",
     }
+
+
+@pytest.mark.parametrize(
+    ("height", "width", "takes", "spiky"),
+    [
+        (3.0, 1e-13, "max", True),
+        (-3.0, 1e-13, "min", True),
+        (3.0, 1e-5, "max", False),
+        (1e-3, 1e-13, "max", False),
+        (3.0, 1e-13, "rms", False),
+    ],
+)
+def test_a_spike_of_an_ideal_switch_is_named(height, width, takes, spiky):
+    """A sine with one sample that differs, at 5 ms of 10 ms."""
+    time = np.sort(np.r_[np.linspace(0, 1e-2, 1000), 5e-3 - width, 5e-3, 5e-3 + width])
+    wave = np.sin(2 * np.pi * 1e3 * time)
+    wave[np.searchsorted(time, 5e-3)] += height
+    scene = kc.load_scene(
+        {
+            "drive": {"part": "source", "sine": {"frequency": "1 kHz"}},
+            "r": {"part": "resistor", "resistance": "1 Ohm", "pins": {"a": "drive.out"}},
+            "analysis": {"type": "transient", "stop": "10 ms"},
+            "probes": {"peak": {"of": "r.voltage", "take": takes}},
+        }
+    )
+    waves = {"time": time, "r.voltage": wave}
+    run = SimpleNamespace(build=SimpleNamespace(scene=scene), waves=waves)
+    text = settings_refinement._describe_spike("peak", [run])
+    assert ("r.voltage has a spike at 5 ms" in text) is spiky
+    assert bool(text) is spiky

@@ -153,7 +153,7 @@ def test_a_part_without_equations_is_named(tmp_path):
     )
     with (
         pytest.warns(UserWarning, match="no equations for the part own"),
-        pytest.warns(UserWarning, match=r"minimum of body.current is searched only at"),
+        pytest.warns(UserWarning, match=r"minimum of body.current is searched for only at"),
     ):
         found = kc.run(tmp_path / "s.toml")
     s = 2j * np.pi * found.frequency

@@ -6,6 +6,7 @@ on a grid, fine enough for a sine that what lies between its points is 1e-6 of i
 """
 
 import warnings
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -264,3 +265,129 @@ stop = "20 ms"
     result = kc.run(scene)
     assert result.record["largest_step"]["s"] == pytest.approx(20e-6 / 50)
     assert "1/50 of a period of gate" in result.record["largest_step"]["why"]
+
+
+BVD_C0, BVD_FS, BVD_CM, BVD_RM = 17.717e-9, 4400.0, 2.1652e-9, 200.97  # of a buzzer disc
+BVD_LM = 1 / ((2 * np.pi * BVD_FS) ** 2 * BVD_CM)
+SQUARE = {"high": "5 V", "width": "113.636 us", "edge": "0.1 us", "period": "227.272 us"}
+
+
+def bvd_behind_netlist(cards, **keys):
+    """Tables of a resonator whose drive passes a user's netlist with the pins in and out."""
+    Path("stage.lib").write_text(f"* stage\n.subckt stage in out\n{cards}\n.ends\n")
+    values = {"fs": BVD_FS, "cm": BVD_CM, "c0": BVD_C0, "rm": BVD_RM}
+    return {
+        "buzzer": {"part": "bvd", **values, **keys, "pins": {"anode": "stage.out"}},
+        "stage": {"part": "netlist", "file": "stage.lib", "subckt": "stage",
+                  "pins": {"in": "gate.out"}},
+        "gate": {"part": "source", "pulse": SQUARE},
+        "analysis": {"type": "transient", "stop": "20 ms"},
+        "probes": {"swing": {"of": "buzzer.voltage", "take": "peak_to_peak", "periods": 5}},
+    }  # fmt: skip
+
+
+def exact_bvd_voltage(resistance, stop=20e-3, grid=20e-9):
+    """Voltage of the resonator behind a resistor and the square wave: scipy's exact response."""
+    t = grid * np.arange(round(stop / grid) + 1)
+    drive = np.interp(np.mod(t, 227.272e-6), np.array([0, 0.1, 113.636, 113.736, 227.272]) * 1e-6,
+                      [0.0, 5.0, 5.0, 0.0, 0.0])  # fmt: skip
+    # states: voltage v of c0, current j of lm, voltage u of cm
+    A = np.array([[-1 / resistance / BVD_C0, -1 / BVD_C0, 0.0],
+                  [1 / BVD_LM, -BVD_RM / BVD_LM, -1 / BVD_LM], [0.0, 1 / BVD_CM, 0.0]])  # fmt: skip
+    B = np.array([[1 / resistance / BVD_C0], [0.0], [0.0]])
+    _, y, _ = lsim((A, B, [[1.0, 0.0, 0.0]], [[0.0]]), drive, t)
+    return t, y
+
+
+@pytest.mark.parametrize("largest", [None, "4.545 us"])
+def test_a_resonator_behind_a_netlist_is_as_accurate_as_on_a_source(largest, tmp_path, monkeypatch):
+    """Without a step of the scene, the device limits the step; a longer step is found and refined.
+
+    The step of 4.545 us is 1/50 of the period; with it, the voltage was 5 % too large.
+    """
+    monkeypatch.chdir(tmp_path)
+    tables = bvd_behind_netlist("R1 in out 2k")
+    if largest:
+        tables["solver"] = {"max_step": largest}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        result = kc.run(kc.load_scene(tables))
+    t, voltage = exact_bvd_voltage(2e3)
+    last = voltage[t > t[-1] - 5 * 227.272e-6]
+    assert result.metrics["swing"] == pytest.approx(np.ptp(last), rel=3e-3)
+    names = {check.name: check for check in result.checks}
+    assert names["time steps of buzzer compared with its exact response"].value < 0.01
+    assert "energy of buzzer" in names
+    if largest is None:
+        assert "natural mode at" in result.record["largest_step"]["why"]
+    else:
+        assert result.record["simulator"]["attempts"][1:]  # the check asked for a second run
+
+
+def test_a_current_source_does_not_hide_the_natural_modes_of_a_resonator(tmp_path, monkeypatch):
+    """A current into a floating capacitance has no bounded answer, but the mode limits the step."""
+    monkeypatch.chdir(tmp_path)
+    tables = bvd_behind_netlist("R1 in out 2k")
+    del tables["stage"]
+    tables["buzzer"]["pins"] = {"anode": "gate.out"}
+    tables["analysis"]["stop"] = "60 ms"  # ten time constants of the mode
+    f = 4640.0
+    tables["gate"] = {"part": "source", "kind": "current",
+                      "sine": {"amplitude": "1 mA", "frequency": f}}  # fmt: skip
+    result = kc.run(kc.load_scene(tables))
+    assert "natural mode at" in result.record["largest_step"]["why"]
+    w = 2j * np.pi * f
+    admittance = w * BVD_C0 + 1 / (BVD_RM + w * BVD_LM + 1 / (w * BVD_CM))
+    expected = 2e-3 / abs(admittance)
+    assert result.metrics["swing"] == pytest.approx(expected, rel=5e-3)
+
+
+def test_a_free_disc_with_a_radiation_load_limits_the_step(tmp_path):
+    """Neither the missing equilibrium of a free disc nor its radiation hides its modes."""
+    text = DISC.replace("QUALITY", "80").replace('support = { node = "13 mm" }', "")
+    text = text.replace('anode = "drive.out"', 'front_face = "front.face", anode = "stage.out"')
+    scene = tmp_path / "disc.toml"
+    (tmp_path / "stage.lib").write_text("* s\n.subckt stage in out\nR1 in out 10\n.ends\n")
+    scene.write_text(
+        text
+        + """
+[front]
+part = "radiation"
+shape = "baffled_piston"
+radius = "10 mm"
+motion = "piston"
+[stage]
+part = "netlist"
+file = "stage.lib"
+subckt = "stage"
+pins = { in = "drive.out" }
+[drive]
+part = "source"
+pulse = { high = "5 V", width = "76 us", edge = "5 us", period = "152 us" }
+[analysis]
+type = "transient"
+stop = "5 ms"
+"""
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        limit = run_scene(kc.load_scene(str(scene)), tmp_path / "out")["largest_step"]
+    assert "natural mode at" in limit["why"]
+    assert limit["s"] < 1e-6  # 1/50 of the period of the drive is 3.04 us
+
+
+@pytest.mark.parametrize(("rated", "passes"), [("15 V", True), ("6 V", False)])
+def test_the_simulated_voltage_is_compared_with_the_rated_voltage(
+    rated, passes, tmp_path, monkeypatch
+):
+    """An inductor in the netlist raises the voltage far above the 5 V of the source."""
+    monkeypatch.chdir(tmp_path)
+    tables = bvd_behind_netlist("R1 in a 50\nL1 a out 10m", rated_voltage=rated)
+    tables["analysis"]["stop"] = "2 ms"
+    with warnings.catch_warnings(record=True) as seen:
+        warnings.simplefilter("always")
+        result = kc.run(kc.load_scene(tables))
+    check = next(check for check in result.checks if check.name == "rating of buzzer")
+    assert check.value == pytest.approx(np.abs(result.waves["buzzer.voltage"]).max())
+    assert check.passed is passes
+    assert any("peak voltage of buzzer" in str(row.message) for row in seen) is not passes

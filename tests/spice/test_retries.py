@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from device import built
 from support import (
+    Check,
     Deck,
     RetriesFailedError,
     Verdict,
@@ -14,6 +15,8 @@ from support import (
     run_deck,
     run_with_retries,
 )
+
+import kc2spice as kc
 
 # A comparator without hysteresis drives a femtofarad: no step is short enough for it.
 HOPELESS = "B1 0 b I={(V(b)>0.5) ? -1e6 : 1e6*TIME*1e6}\nC1 b 0 1e-15\nR1 b 0 1k\n.tran 1u 1m\n"
@@ -58,6 +61,19 @@ def test_failures_that_no_tolerance_prevents_are_not_repeated(scene, loop, model
 
 
 @pytest.mark.filterwarnings("ignore:.*trying")
+def test_a_retry_of_a_long_run_states_that_it_may_take_as_long(tmp_path, monkeypatch):
+    monkeypatch.setattr("kc2spice.sim.ngspice.LONG_ATTEMPT", 0.0)
+    with (
+        pytest.warns(UserWarning, match="up to 3 attempts of similar or longer duration") as shown,
+        pytest.raises(RetriesFailedError),
+    ):
+        run_with_retries(
+            deck(HOPELESS), tmp_path, batch(tmp_path), retries=3, judge=lambda waves: Verdict()
+        )
+    assert "1 attempt of similar or longer duration" in str(shown[-1].message)
+
+
+@pytest.mark.filterwarnings("ignore:.*trying")
 def test_the_last_failure_names_node_time_part_and_all_settings(tmp_path):
     with pytest.raises(RetriesFailedError) as caught:
         run_with_retries(
@@ -78,3 +94,39 @@ def test_the_last_failure_names_node_time_part_and_all_settings(tmp_path):
     partial = error.failure.partial
     assert 0 < partial["time"][-1] <= error.failure.time < 1e-3
     assert np.isfinite(partial["b"]).all()
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_a_check_that_shorter_steps_do_not_change_names_the_edited_cards(tmp_path):
+    deck = kc.deck("impact")
+    for name, text in deck.files.items():
+        (tmp_path / name).write_text(text)
+    path = tmp_path / deck.main_file_name
+    right = path.read_text()
+    path.write_text(right.replace("0 kick_ring0 kick_ring1 0", "0 kick_ring1 kick_ring0 0"))
+    with pytest.raises(RetriesFailedError, match="shorter time steps do not change") as caught:
+        kc.run("impact", deck=path)
+    assert "reltol in" not in caught.value.hint
+    card = next(line for line in path.read_text().splitlines() if line.startswith("Xkick"))
+    number = path.read_text().splitlines().index(card) + 1
+    edit = f"Xkick in line {number} (nodes kick_ring0 and kick_ring1 are exchanged)"
+    assert caught.value.hint.endswith(f"compare these edits with a new export: {edit}")
+    path.write_text(right)
+    assert kc.run("impact", deck=path).checks
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize(("values", "blamed"), [((0.72, 0.72, 0.72), False), ((9, 3, 1), True)])
+def test_only_a_check_that_depends_on_the_steps_blames_the_steps(values, blamed, tmp_path):
+    left = iter(values)
+
+    def judge(waves):
+        advice = "the steps are too coarse: lower solver.reltol"
+        return Verdict((Check("energy", next(left), 0.1, advice=advice, coarse=True),))
+
+    linear = deck("V1 b 0 1\nR1 b 0 1\n.tran 1u 1m\n")
+    with pytest.raises(RetriesFailedError) as caught:
+        run_with_retries(linear, tmp_path, batch(tmp_path), retries=3, judge=judge)
+    assert ("too coarse" in caught.value.message) == blamed
+    assert ("reltol in the .options line" in caught.value.hint) == blamed
+    assert ("kc2spice verify" in caught.value.hint) != blamed

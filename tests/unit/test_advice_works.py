@@ -1,7 +1,9 @@
 """Mistakes of users whose advice is followed literally: the corrected input then runs."""
 
 import re
+import shlex
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,6 +20,7 @@ from support import (
     replace_arguments_by_options,
     replace_options_by_arguments,
     require_passed,
+    ring_magnet_coils,
     subcircuit,
 )
 
@@ -71,14 +74,14 @@ def test_the_port_of_a_mesh_that_cannot_be_read_is_at_a_point(cli):
     assert "at = [0, 0, 0]" in rows(cli("run", "own.toml").stderr)["next"]
 
 
-def test_a_misspelt_metric_of_a_sweep_leaves_no_files(cli):
+def test_a_misspelt_metric_of_a_sweep_keeps_the_first_point(cli):
     swept = ("duffing", "--set", "mass.mass=1 g,2 g", "--workers", "1")
     done = cli("sweep", *swept, "--metric", "mass_peak")
     found = rows_of_error(done.stderr)
     assert done.exit_code == 2
     assert found["expected"].count(",") <= 5
     name = re.fullmatch(r"did you mean '(.*)'\?", found["next"])[1]
-    assert not Path("duffing_sweep").exists()
+    assert [item.name for item in Path("duffing_sweep").iterdir()] == ["rows.sqlite"]
     assert cli("sweep", *swept, "--metric", name).exit_code == 0
 
 
@@ -245,7 +248,8 @@ def test_matrices_in_lower_case_and_matrices_that_are_missing(cli):
     ("change", "head", "advice"),
     [
         ((".ends\n", ""), "this subcircuit has no end", "add the line  .ends amp"),
-        (("R2 out ref 1k", "R2 out ref 1k\nD1 out ref DX"), "no such model", ".model DX D"),
+        (("R2 out ref 1k", "R2 out ref 1k\nS1 out ref in ref SX"), "no such model",
+         "add the line  .model SX SW(vt=1 vh=0 ron=1 roff=1meg)"),
         (("R2 out ref 1k", "R2 out ref 1k\nX1 out ref sub"), "no such subcircuit", ".subckt sub"),
         (("R2 out ref 1k", "R2 out ref {gain}"), "no such parameter", ".param gain="),
     ],
@@ -261,6 +265,36 @@ def test_a_mistake_in_a_netlist(cli, change, head, advice):
     found = rows(cli("run", "own.toml").stderr)
     assert head in found["head"]
     assert advice in found["next"]
+
+
+@pytest.mark.parametrize("card", ["D1 out ref MAKER", "Q1 out in ref MAKER"])
+def test_a_missing_model_of_a_manufacturer(cli, card):
+    """A default model would run with another characteristic, so the advice contains none."""
+    amplifier = f"* amp\n.subckt amp in out ref\nR1 in out 1k\nR2 out ref 1k\n{card}\n.ends\n"
+    Path("amp.lib").write_text(amplifier)
+    Path("own.toml").write_text(
+        '[drive]\npart = "source"\ndc = "1 V"\npins = { out = "amp.in" }\n'
+        '[amp]\npart = "netlist"\nfile = "amp.lib"\nsubckt = "amp"\npins = { out = "load.a" }\n'
+        '[load]\npart = "resistor"\nresistance = "1 kOhm"\n[analysis]\ntype = "op"\n'
+    )
+    assert rows(cli("run", "own.toml").stderr)["next"] == (
+        "copy the  .model MAKER  line of the manufacturer into this file, or include the file "
+        "that contains this line"
+    )
+    kind = {"D": "D(Is=1e-12)", "Q": "NPN(Bf=50)"}[card[0]]
+    Path("maker.lib").write_text(f".model MAKER {kind}\n")
+    for more in (f".model MAKER {kind}\n", ".include maker.lib\n"):
+        Path("amp.lib").write_text(amplifier + more)
+        assert cli("run", "own.toml").exit_code == 0
+
+
+def test_a_scene_without_parts_begins_with_a_built_in_scene(cli):
+    Path("empty.toml").write_text('title = "nothing"\n')
+    found = rows(cli("run", "empty.toml").stderr)
+    assert "the scene has no parts" in found["head"]
+    command = re.fullmatch(r"begin with a built-in scene:  kc2spice (.*) > my.toml", found["next"])
+    Path("my.toml").write_text(cli(*command[1].split()).stdout)
+    assert cli("explain", "my.toml").exit_code == 0
 
 
 def test_a_deck_of_another_scene(cli):
@@ -310,7 +344,7 @@ def test_units_outside_of_the_si_are_converted(typed, unit, advice):
     ("scene", "override", "head", "advice"),
     [
         ("buzzer_noise", "analysis.start=0", "a noise analysis cannot begin at 0 Hz",
-         'add  start = "20 Hz"'),
+         "write  --set 'analysis.start=20 Hz'"),
         ("sounder_in_housing", "listener.angle=120", "behind the baffle",
          "lower the key `angle` to 90"),
         ("sounder_in_housing", "hole.area=7 mm2", "the duct has two sizes", "delete area"),
@@ -320,8 +354,8 @@ def test_units_outside_of_the_si_are_converted(typed, unit, advice):
         ("harvester_bridge", "d1.IS=1e-14", "unknown key",
          "write saturation_current in place of IS"),
         ("buzzer_noise", "disc.damping=50", "not a table", "write  damping = { quality = 50 }"),
-        ("buzzer_noise", "disc.layers[1].electrodes=18 mm", "larger than its layer",
-         "lower electrodes to at most 0.014 m"),
+        ("buzzer_noise", "disc.layers[1].electrodes=18 mm", "larger than their layer",
+         "lower layers[1].electrodes to 14 mm"),
         ("buzzer_noise", "analysis.stop=1 ms", "wrong unit", 'stop = "100 kHz"'),
     ],
 )  # fmt: skip
@@ -368,7 +402,7 @@ def test_voltages_of_a_relay_in_the_wrong_order():
 
 def test_keys_of_the_analysis_at_the_top_of_a_scene(cli):
     Path("own.toml").write_text('stop = "1 s"\n' + DIVIDER)
-    assert rows(cli("run", "own.toml").stderr)["next"] == "write stop below [analysis]"
+    assert rows(cli("run", "own.toml").stderr)["next"] == 'write  stop = "1 s"  in [analysis]'
     text = DIVIDER.replace('[analysis]\ntype = "op"\n', "")
     Path("own.toml").write_text('analysis = "op"\n' + text)
     found = rows(cli("run", "own.toml").stderr)
@@ -502,6 +536,29 @@ def test_a_wrong_unit_is_replaced_by_a_usual_unit(typed, unit, advised):
     convert_quantity(advised, unit)
 
 
+@pytest.mark.parametrize(
+    ("unit", "first", "second"),
+    [
+        ("F", "20 nF", "20 F"),
+        ("kg", "20 g", "20 kg"),
+        ("m2", "20 mm2", "20 m2"),
+        ("V", "20 V", "20 mV"),
+        ("Ohm", "20 Ohm", "20 kOhm"),
+        ("Hz", "20 Hz", "20 kHz"),
+    ],
+)
+def test_a_text_without_a_unit_gets_a_usual_unit(unit, first, second):
+    assert re.findall(r'"(.*?)"', fails(convert_quantity, "20", unit).hint) == [first, second]
+    convert_quantity(first, unit)
+    convert_quantity(second, unit)
+
+
+@pytest.mark.parametrize(("typed", "value"), [("2k", 2000), ("4k7", 4700), ("1.5 M", 1.5e6)])
+def test_a_plain_number_has_no_prefix(typed, value):
+    hint = fails(convert_quantity, typed, "").hint
+    assert convert_quantity(hint.removeprefix("write  "), "") == value
+
+
 CERAMIC = {"density": 7750, "youngs_modulus": "66 GPa", "poisson_ratio": 0.35,
            "permittivity": {"eps11": 1730, "eps33": 1700}, "permittivity_at": "stress"}  # fmt: skip
 METAL = {"density": 9000, "youngs_modulus": "105 GPa", "poisson_ratio": 0.34, "conductor": True}
@@ -590,3 +647,137 @@ def test_a_pin_that_a_body_has_only_if_the_scene_joins_it():
     wrong = joined | {"air": piston | {"pins": {"face": "tip.a"}}}
     assert fails(kc.load_scene, wrong).hint == 'write  face = "disc.front_face"'
     kc.load_scene(joined | {"air": piston | {"pins": {"face": "disc.front_face"}}})
+
+
+@pytest.mark.parametrize(
+    ("number", "kind"),
+    [("7bb-20-6", "bvd"), ("12PR300", "loudspeaker"), ("G5LE-1 DC12", "relay"),
+     ("ECS-.327-12.5-13X", "crystal"), ("7BB-35-3", "disc")],
+)  # fmt: skip
+def test_a_part_number_without_values_proposes_the_command_that_prints_them(cli, number, kind):
+    Path("own.toml").write_text(f'[x]\npart = "{kind}"\nnumber = "{number}"\n')
+    found = rows_of_error(cli("run", "own.toml").stderr)
+    form = r'write  part = "(\w+)"  and the keys that the command  kc2spice (.*)  prints'
+    advised, command = re.fullmatch(form, found["next"]).groups()
+    assert advised == kind
+    table = cli(*shlex.split(command)).stdout.partition("TOML table of this part in a scene:")[2]
+    ((name, keys),) = parse_toml(table).items()
+    tables = kc.load_scene(number).tables  # the test circuit, for the pins of the part
+    keys |= {"pins": tables[name].get("pins", {})}
+    assert kc.load_scene({**tables, "name": "own", name: keys}).parts[name].type.name == kind
+
+
+def test_an_unknown_part_number_without_values_names_the_missing_keys():
+    error = fails(kc.load_scene, {"x": {"part": "bvd", "number": "MINE-1"}})
+    assert error.hint == "add fs, fp, cm and rm"
+
+
+@pytest.mark.parametrize(
+    ("voltage", "top", "advised"),
+    [(300, 10e-3, 120), (-300, 10e-3, -120), (50, 10e-3, 36), (-50, 10e-3, -36), (-50, 30e-3, -21)],
+)
+def test_the_advised_drive_voltage_keeps_its_sign(recwarn, voltage, top, advised):
+    """Heights are proportional to the square of the voltage; the stack withstands 121 V."""
+    scene = kc.load_scene("kick_and_catch", {"kick.drive.voltage": voltage})
+    table = SimpleNamespace(y=np.array([-2.5e-3, 7.5e-3]))
+    advice = ring_magnet_coils._advise_less_energy(scene, np.array([0.0, top]), table)
+    assert advice == f'lower the drive voltage, such as kick.drive.voltage = "{advised} V"'
+    assert top * (advised / voltage) ** 2 < 7.5e-3
+
+
+@pytest.mark.parametrize(
+    ("speed", "shape"),
+    [(50, "rings"), (1000, "rings"), pytest.param(30, "pressure", marks=pytest.mark.slow)],
+)
+def test_the_advised_rings_and_speed_let_a_fast_impact_run(recwarn, speed, shape):
+    """At 50 m/s, more rings suffice; at 1 km/s, the sphere would enter the chip completely."""
+    typed = {"impact.velocity": f"-{speed} m/s", "contact.shape": shape}
+    with pytest.raises(kc.errors.SimulationError) as caught:
+        kc.run("impact", overrides=typed)
+    error = caught.value
+    advised = dict(re.findall(r"([a-z.]+\.[a-z.]+) = \"?(-?[\d.]+(?: m/s)?)", error.hint))
+    advised["kick.mesh.rings"] = int(advised["kick.mesh.rings"])
+    assert ("impact.velocity" in advised) == (speed == 1000)
+    if speed == 1000:
+        assert error.got == "a speed of 1000 m/s, set by impact.velocity"
+    run = kc.run("impact", overrides={**typed, **advised})
+    assert run.metrics["rebound_velocity_m_s"] > 0
+
+
+@pytest.mark.parametrize(
+    ("layer", "key", "got", "advised"),
+    [
+        ({"diameter": "24 mm", "electrodes": "30 mm"}, "diameter", "'24 mm'",
+         {"diameter": "20 mm", "electrodes": "20 mm"}),
+        ({"diameter": "24 mm", "electrodes": "22 mm"}, "diameter", "24 mm",
+         {"diameter": "20.4 mm", "electrodes": "20.4 mm"}),
+        ({"electrodes": "15 mm"}, "electrodes", "'15 mm'", {"electrodes": "14 mm"}),
+    ],
+)  # fmt: skip
+def test_the_advised_sizes_of_a_layer_and_its_electrodes_fit(layer, key, got, advised):
+    ceramic = {"material": "PZT-5A", "diameter": "14 mm", "thickness": "0.2 mm"}
+    plate = {"material": "brass", "diameter": "20 mm", "thickness": "0.2 mm"}
+
+    def tables(changes):
+        layers = [plate, ceramic | layer | changes]
+        return {"disc": {"part": "disc", "layers": layers}, "analysis": {"type": "ac", "stop": 1e4}}
+
+    error = fails(kc.load_scene, tables({}))
+    assert error.where.endswith(f"disc.layers[1].{key}")
+    assert error.got == got
+    assert f"{advised[key]}" in error.hint
+    assert "electrodes" in error.hint
+    kc.load_scene(tables(advised))
+
+
+def test_the_advised_name_of_a_port_with_the_name_of_an_inner_node_works(cli):
+    """The names p1 and q1 belong to the modes of the body; the mesh is not solved before."""
+    text = BODY.format(
+        ceramic="steel", source='kind = "force"\nac = "1 N"\npins = { out = "u.p1" }'
+    )
+    port = 'ports = [{ name = "p1", group = "topel", axis = "z" }]\n'
+    text = text.replace("[f]", f"{port}[f]")
+    Path("u.msh").write_bytes(MESH.read_bytes())
+    Path("named.toml").write_text(text)
+    refused = cli("run", "named.toml")
+    shown = rows_of_error(refused.output)
+    assert "already contains this name, for an internal node" in shown["head"]
+    assert shown["got"] == "p1"
+    assert shown["next"] == "rename p1, for example to my_p1"
+    Path("named.toml").write_text(text.replace('"p1"', '"my_p1"').replace("u.p1", "u.my_p1"))
+    assert cli("run", "named.toml").exit_code == 0
+
+
+SPRING = {
+    "spring": {"part": "spring", "stiffness": 1e3},
+    "push": {"part": "source", "kind": "force", "pins": {"out": "spring.a"},
+             "sine": {"amplitude": 2e-3, "frequency": 10.0}},
+    "analysis": {"type": "transient", "stop": 0.1},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("level", ["-1.2 um", "-1.2um", "\N{MINUS SIGN}1.2 um", -1.2e-6])
+def test_the_level_of_a_crossing_accepts_a_negative_length(level):
+    """x = 2 um sin(2 pi t / 100 ms) first falls to -1.2 um after half a period and an arc."""
+    probe = {"of": "push.x", "take": "crossing", "level": level}
+    found = kc.run({"name": "arc", **SPRING, "probes": {"fall_s": probe}}).metrics["fall_s"]
+    assert found == pytest.approx(0.05 + np.arcsin(0.6) / (2 * np.pi * 10), rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("level", "got", "hint"),
+    [
+        ("-1.2 V", "a value in V", "write a level in m"),
+        ("1 nonsense", "'1 nonsense'", "write a number with the unit of the result"),
+    ],
+)
+def test_a_level_in_the_unit_of_another_quantity_is_refused(level, got, hint):
+    probe = {"of": "push.x", "take": "crossing", "level": level}
+    error = fails(kc.run, {"name": "arc", **SPRING, "probes": {"fall_s": probe}})
+    assert got in str(error.got)
+    assert error.hint.startswith(hint)
+
+
+def test_the_advice_for_a_plain_number_never_drops_a_unit():
+    """A key without a unit: ``write -1.2`` would turn micrometres into metres."""
+    assert fails(convert_quantity, "-1.2 um", "").hint.startswith("write a plain number")

@@ -237,7 +237,7 @@ def test_files_without_parameters_are_no_affine_model(folder):
         ('"thickness^3"', '"V(a)"', "not a number"),
         ('factor = "thickness^3"', 'factor = "' + "(" * 199 + '"', "expression"),
         ('"thickness^3"', '"1/(thickness-1)"', "is not a number"),
-        ('"M_tip"', '"M_top"', "cannot be read"),
+        ('"M_tip"', '"M_top"', "the file contains no matrix M_top"),
         ('name = "M_tip"', 'file = "other.mtx"', "does not exist"),
         ('name = "M_tip"', 'file = "../beam.npz"', "not in the folder of"),
         ('matrix = "K"', 'matrix = "E"', "terms"),

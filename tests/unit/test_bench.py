@@ -17,7 +17,7 @@ def simulator(scene, *_, **__):
     rest = {"caught": np.asarray(True), "noise": np.asarray(np.sin(1e9 * reltol))}
     values, waves = {"speed": np.asarray(value), **rest}, Waveforms({"time": np.arange(2)}, {})
     return SimpleNamespace(values=values, units={}, waves=waves, cpu_s=cost, build=build,
-                           is_small_signal=False)  # fmt: skip
+                           is_small_signal=False, metric_resolutions={})  # fmt: skip
 
 
 @pytest.fixture(autouse=True, scope="module")

@@ -1,6 +1,7 @@
 """The command line: what it prints, its exit codes, and that failures write nothing."""
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -15,7 +16,7 @@ from support import (
     stage_directory,
 )
 
-import kc2spice
+import kc2spice as kc
 from kc2spice import __version__
 
 
@@ -158,7 +159,7 @@ def test_verbose_prints_each_metric_once_and_the_files_by_purpose(capsys):
     at = lines.index("Files in out")
     assert lines[at - 1] == ""
     assert lines[at + 1 :] == [
-        "netlist of the scene loop.cir", "plots in ngspice loop_plot.sp",
+        "netlist of the scene loop.cir", "ngspice script for plots loop_plot.sp",
         "subcircuits a.lib, b.lib", "waveforms waveforms.csv", "other files x.dat",
     ]  # fmt: skip
 
@@ -236,6 +237,21 @@ def test_explain(cli):
     assert [part["part"] for part in found["parts"]] == ["impact", "kick", "contact", "sphere"]
 
 
+def test_exported_files_are_printed_by_purpose(cli):
+    """Each file of the export is printed once, and no purpose is unknown."""
+    done = cli("export", "newtons_cradle", "-o", "out")
+    assert done.exit_code == 0, done.output
+    title, *rows = done.stdout.splitlines()
+    assert title.strip() == "Files in out"
+    words = " ".join(rows).replace(",", " ").split()
+    names = sorted(path.name for path in Path("out").glob("[!.]*"))
+    assert sorted(set(words) & set(names)) == names
+    assert all(words.count(name) == 1 for name in names)
+    for purpose in ("netlist of the scene", "KiCad project", "subcircuits for LTspice"):
+        assert sum(row.startswith(f"{purpose} ") for row in rows) == 1
+    assert "other files" not in done.stdout
+
+
 def test_doctor_lists_missing_programs(cli, monkeypatch, tmp_path):
     monkeypatch.setenv("PATH", str(tmp_path))
     done = cli("doctor")
@@ -248,7 +264,7 @@ def test_doctor_lists_missing_programs(cli, monkeypatch, tmp_path):
 
 def test_run_without_ngspice_is_code_3_before_any_work(tmp_path):
     """The real study in a process of its own, with a search path that has no ngspice."""
-    package = Path(kc2spice.__file__).parent.parent
+    package = Path(kc.__file__).parent.parent
     home = tmp_path / "home"  # where matplotlib lists its fonts
     environment = {"PATH": str(tmp_path), "PYTHONPATH": str(package), "HOME": str(home)}
     command = [sys.executable, "-m", "kc2spice", "run", "kick_and_catch", "-o", "out"]
@@ -275,7 +291,41 @@ def test_help_ends_with_two_examples_and_fits_its_line(cli, command):
     assert not summary.endswith("..")
 
 
+def test_scenes_prints_the_toml_text_of_a_scene(cli):
+    printed = cli("scenes", "buzzer_square", "--quiet").stdout
+    Path("my.toml").write_text(printed, encoding="utf-8")
+    own, built_in = kc.load_scene("my.toml"), kc.load_scene("buzzer_square")
+    assert {**own.tables, "name": "buzzer_square"} == built_in.tables
+    assert json.loads(cli("scenes", "buzzer_square", "--json").stdout)["toml"] == printed
+    Path("sold.toml").write_text(cli("scenes", "7BB-20-6").stdout, encoding="utf-8")
+    sold = kc.load_scene("7BB-20-6").tables
+    assert {**kc.load_scene("sold.toml").tables, "name": sold["name"]} == sold
+
+
+def test_scenes_states_the_files_that_a_copied_scene_needs(cli):
+    printed = cli("scenes", "bring_your_own").stdout
+    Path("my.toml").write_text(printed, encoding="utf-8")
+    (file,) = re.findall(r"# Copy this file into the folder of the scene: (.*)", printed)
+    Path(Path(file).name).write_bytes(Path(file).read_bytes())
+    assert cli("export", "my.toml", "--out", "copied").exit_code == 0
+
+
+def test_scenes_rejects_a_wrong_name_and_a_second_word(cli):
+    assert cli("scenes", "impac").stderr.rstrip().endswith("did you mean 'impact'?")
+    assert cli("scenes", "disc", "impact").stderr.rstrip().endswith("write kc2spice scenes impact")
+    both = cli("scenes", "impact", "--keys")
+    assert both.exit_code == 2
+    assert "impact cannot be combined with --keys" in both.stderr
+
+
 def test_a_part_type_behind_scenes_is_an_option(cli):
-    done = cli("scenes", "disc")
-    assert done.exit_code == 2
-    assert done.stderr.rstrip().endswith("write kc2spice scenes --part disc")
+    for word, line in {
+        "disc": "scenes --part disc",
+        "dis": "scenes --part disc",
+        "parts": "scenes --parts",
+        "keys": "scenes --keys",
+    }.items():
+        done = cli("scenes", word)
+        assert done.exit_code == 2
+        assert done.stderr.rstrip().endswith(f"write kc2spice {line}")
+        assert cli(*line.split()).exit_code == 0

@@ -112,7 +112,7 @@ def test_sparse_matrices_saved_whole(tmp_path):
 
 def test_damping_called_d(tmp_path):
     np.savez(tmp_path / "chain.npz", **CHAIN, B=np.ones((2, 1)), D=1e-3 * np.eye(2))
-    refused(lambda: kc.read_model(tmp_path / "chain.npz"), "matrix D", "pass a damping matrix as E")
+    refused(lambda: kc.read_model(tmp_path / "chain.npz"), "matrix D", 'damping_matrix = "D"')
 
 
 def model(**more):
@@ -127,7 +127,7 @@ def test_one_number_for_rayleigh_damping():
         )
     refused(lambda: model(E=0.01), "matrix E has 0 dimensions", "rayleigh=(alpha, beta)")
     refused(
-        lambda: model(D=1e-3 * np.eye(2)), "matrix D has a wrong size", "pass a damping matrix as E"
+        lambda: model(D=1e-3 * np.eye(2)), "matrix D", "if D is the damping matrix, pass it as E"
     )
 
 
@@ -216,7 +216,7 @@ def test_the_documented_form_of_coils_is_named(said):
 def test_part_numbers_suggest_a_scene(cli):
     done = cli("export", "7BB-20")
     assert done.exit_code == 2
-    assert "did you mean 'buzzer_7bb_20_3'?" in done.stderr
+    assert "such as buzzer_7bb_20_3, buzzer_7bb_20_6" in done.stderr
 
 
 def test_couplings_that_change_too_fast_name_the_key_that_helps():
@@ -339,7 +339,7 @@ def test_other_lines_that_are_not_toml(divider):
     assert "KEY = VALUE" in said["expected"]
 
 
-@pytest.mark.parametrize(("words", "right"), [("1:2", "1:2:5"), ("log:1:2", "log:1:2:5")])
+@pytest.mark.parametrize(("words", "right"), [("-1:-2", "-1:-2:5"), ("log:-1:-2", "log:-1:-2:5")])
 def test_a_range_without_its_number_of_points(cli, words, right):
     done = cli("sweep", "impact", "--set", f"impact.velocity={words}")
     assert done.exit_code == 2

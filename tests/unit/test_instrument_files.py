@@ -637,3 +637,49 @@ def test_the_advised_title_of_a_column_with_a_wrong_unit(tmp_path):
     with pytest.raises(REFUSED, match="not a unit of") as caught:
         read("R (kg)")
     read(caught.value.hint.partition("write the title  ")[2])
+
+
+COMPLEX_ROWS = rows(F, Z.real, Z.imag)  # frequency, real and imaginary part
+
+
+def advised_header(error):
+    return re.search(r"name the columns in the first line, such as  (\S+)", error.hint)[1]
+
+
+@pytest.mark.parametrize(
+    ("titles", "unknown"),
+    [("freq,a", "'a'"), ("index,value", "'index', 'value'"), ("freq,re", "")],
+)
+def test_one_column_with_an_unknown_title_names_title_and_header_at_once(tmp_path, titles, unknown):
+    path = written(tmp_path, "a.csv", f"{titles}\n{rows(F, np.abs(Z))}")
+    with pytest.raises(REFUSED) as caught:
+        read_measured(path)
+    error = caught.value
+    assert error.message.startswith("this table contains only one column of values")
+    assert error.message.endswith(f"unknown columns: {unknown}" if unknown else "needs two")
+    header = advised_header(error)
+    text = f"{header}\n{COMPLEX_ROWS}"
+    assert read_measured(written(tmp_path, "b.csv", text)).Y[:, 0, 0] == pytest.approx(Y, rel=1e-6)
+
+
+def test_all_titles_without_a_unit_are_named_at_once(tmp_path):
+    lines = COMPLEX_ROWS.replace(",", ";")
+    path = written(tmp_path, "a.csv", f"freq;re;im\n{lines}")
+    with pytest.raises(REFUSED) as caught:
+        read_measured(path)
+    error = caught.value
+    assert error.got == "columns 're', 'im'"
+    assert error.expected == "re: R in Ohm or G in S; im: X in Ohm or B in S"
+    titles = re.fullmatch(r"if the values are in Ohm, write the titles  (.*)", error.hint)[1]
+    header = ";".join(["freq", *titles.split("  and  ")])
+    text = f"{header}\n{lines}"
+    assert read_measured(written(tmp_path, "b.csv", text)).Y[:, 0, 0] == pytest.approx(Y, rel=1e-6)
+
+
+def test_a_title_without_a_unit_beside_an_unknown_title_names_both(tmp_path):
+    with pytest.raises(REFUSED) as caught:
+        read_measured(written(tmp_path, "a.csv", f"freq,re,a\n{COMPLEX_ROWS}"))
+    assert "column 're' has no unit" in caught.value.message
+    assert "'a'" in caught.value.message
+    text = f"{advised_header(caught.value)}\n{COMPLEX_ROWS}"
+    assert read_measured(written(tmp_path, "b.csv", text)).Y[:, 0, 0] == pytest.approx(Y, rel=1e-6)

@@ -1,7 +1,11 @@
 """Wrong wiring is named, with file and line, before any simulator runs."""
 
+from dataclasses import replace
+
 import pytest
 from support import Deck, UsageError, find_wiring_mistakes, require_valid_wiring
+
+import kc2spice as kc
 
 LIBRARY = """* divider: a part
 * @pin 1 top unit=V flow=A
@@ -135,3 +139,49 @@ def test_mistakes_inside_a_library_are_found():
     assert [m for _, m, _ in complaints("V1 in 0 1\nX1 in nc 0 divider", broken)] == [
         "floating port: nothing else is wired to node midd"
     ]
+
+
+LOOPS = [  # cards inside of a subcircuit with the pins a and b, and the sources of the loop
+    ("V1 a b 5\nV2 a b 6", ["V1", "V2"]),
+    ("V1 a b 5\nV2 b a -5", ["V1", "V2"]),
+    ("V1 a b 5\nV2 a m 2\nV3 m b 3", ["V2", "V1", "V3"]),
+    ("V1 a b 5\nE1 a b c b 2\nR1 c b 1", ["V1", "E1"]),
+    ("V1 a b 5\nVs a b 0\nH1 c b Vs 1\nR1 c b 1", ["V1", "Vs"]),
+    ("V1 a b 5\nR1 a c 1\nV2 c b 6", []),
+    ("V1 a b 5\nL1 a b 1m", []),
+    ("V1 a b 5\nH1 a b V1 2", []),  # a resistor of 2 Ohm
+    ("V1 a b 5\nB1 a b V=5*I(V1)", []),
+]
+
+
+@pytest.mark.parametrize(("cards", "names"), LOOPS)
+def test_a_loop_of_ideal_sources_names_all_of_them(cards, names):
+    """ngspice simulates exactly the circuits without a loop."""
+    library = f"* loop\n.subckt divider a b\n{cards}\n.ends\n"
+    wired = deck("R9 in 0 1k\nX1 in 0 divider\n.tran 1u 10u uic", library)
+    wired = replace(wired, vectors={"v": ("v(in)", 1.0)})
+    if not names:
+        assert find_wiring_mistakes(wired) == []
+        assert kc.simulate(wired).waves["v"][1:] == pytest.approx(5.0)
+        return
+    (error,) = find_wiring_mistakes(wired)
+    assert error.message == "this voltage source closes a loop of ideal voltage sources"
+    lines = {card.split()[0]: f"divider.lib:{k}" for k, card in enumerate(cards.split("\n"), 3)}
+    assert error.got == f"a loop of {', '.join(f'{name} ({lines[name]})' for name in names)}"
+    assert error.where == lines[names[-1]]
+    with pytest.raises(kc.errors.SimulationError):
+        kc.simulate(wired)
+
+
+def test_a_loop_of_ideal_sources_in_two_instances_is_found():
+    library = "* pair\n.subckt divider a b\nV1 a b 5\nR1 a b 1\n.ends\n"
+    found = complaints("V2 in m 1\nR2 m 0 1\nX1 in 0 divider\nX2 m 0 divider", library)
+    assert [got for _, _, got in found] == [
+        "a loop of V2 (test.cir:3), V1 (divider.lib:3), V1 (divider.lib:3)"
+    ]
+    assert complaints("V2 in m 1\nR2 m 0 1\nX1 in 0 divider", library) == []
+    assert complaints("V2 in in 1\nR2 in 0 1\nX1 in 0 divider", library)[0][1:] == (
+        "both nodes of this voltage source are the same node", "V2 in in 1",
+    )  # fmt: skip
+    port = "V2 in 0 ac 1 portnum 1 z0 50\nX1 in 0 divider"
+    assert complaints(port, library) == []

@@ -1,5 +1,6 @@
 """Mistakes on the command line, in scenes, files and Python calls, with the advice for each."""
 
+import ast
 import json
 import shlex
 from pathlib import Path
@@ -8,10 +9,23 @@ import numpy as np
 import pytest
 from messages import fails, rows
 from small_scenes import DISC, DIVIDER, LAMP, RESISTOR
-from support import Check, did_you_mean, format_summary, parse_toml, require_passed
+from support import (
+    CAD,
+    FILE_FORMATS,
+    MESH_FORMAT,
+    SURFACE,
+    SURFACE_SUFFIXES,
+    Check,
+    did_you_mean,
+    format_summary,
+    identify_format,
+    parse_toml,
+    require_passed,
+)
 
 import kc2spice as kc
 
+BUZZER_DISC, VARIED = "buzzer_7bb_20_6:disc", "--vary damping.quality=10:200"
 BUZZER = DISC + '[analysis]\ntype = "ac"\nstop = "10 kHz"\n'
 MESH = Path(__file__).parents[1] / "data" / "coarse_unimorph.msh"
 HEAT = """gravity = 0
@@ -114,7 +128,7 @@ stop = "1 kHz"
         ("parts Murrata", "no part matches", "'Murrata'", "did you mean 'Murata'?"),
         ("reduce harvester:load", "this part has no linear model", "resistor",
          "kc2spice reduce harvester:beam"),
-        ("export impact --tolerance 5", "--tolerance: out of range", "5", "lower --tolerance"),
+        ("export impact --tolerance 5", "--tolerance: out of range", "5", "--tolerance 0.05"),
         ("export impact --count 0", "--count: the number of copies is not valid", "0",
          "--count 2"),
         ("run impact --set sphere.mas", "the value of the key is missing", "'sphere.mas'",
@@ -125,7 +139,7 @@ stop = "1 kHz"
          "'disc.layers'", "write 'disc.layers[0].material=brass'"),
         ("run impact --set impact.velocity=fast", "not a quantity", "'fast'", '"1 m/s"'),
         ("run impact --set impact.velocity=1m", "wrong unit 'm'", "'1m'", '"1 m/s"'),
-        ("run impact --set sphere.mass=1", "unknown key", "", "delete mass"),
+        ("run impact --set sphere.mass=1", "unknown key", "", "leave out --set 'sphere.mass=1'"),
         ("run buzzer_7bb_20_6 --set analysis.stop=20kHzz", "unknown unit 'kHzz'", "'20kHzz'",
          'write  "20 kHz"'),
         ("run buzzer_7bb_20_6 --set disc.support=glued", "not one of the choices", "'glued'",
@@ -133,7 +147,7 @@ stop = "1 kHz"
         ("run buzzer_7bb_20_6 --set disc.damping.ratio=0.1", "stated twice, by ratio and quality",
          "", "damping={"),
         ("reduce NAME --method foo", "--method: this reduction method does not exist", "'foo'",
-         "leave out --method"),
+         "leave out --method; for your own method, install its package as in docs/how-to/own_red"),
         ("reduce {table} --order x", "--order: this value is not a number", "x", "a whole number"),
         ("export --rom b.toml", "b.toml: this file does not exist", "", "kc2spice reduce MODEL"),
         ("run impact --set =3", "the key is missing", "'=3'", "write KEY=3"),
@@ -418,7 +432,8 @@ def test_an_unknown_method_has_five_candidates():
         kc.reduce(chain, tolerance=1e-3, band=(0, 1), method="response PD")
     found = rows(str(caught.value))
     assert found["expected"].count(",") == 5
-    assert found["next"] == "did you mean 'response POD'?"
+    own = "For your own method, call kc.register_reductor first"
+    assert found["next"] == f"did you mean 'response POD'? {own}"
 
 
 def test_a_failed_check_names_value_and_limit_with_prefixes():
@@ -440,8 +455,10 @@ def test_a_failed_check_names_value_and_limit_with_prefixes():
 @pytest.mark.parametrize(
     ("key", "value", "expected", "advice"),
     [
-        ("rom.tolerance", "1e-13", ">= 1e-10", "raise rom.tolerance to 1e-10"),
-        ("rom.tolerance", "2", "< 1", "lower rom.tolerance below 1"),
+        ("rom.tolerance", "1e-13", ">= 1e-10", "write  --set rom.tolerance=0.0001"),
+        ("rom.tolerance", "2", "< 1", "for 2 %, write  --set rom.tolerance=0.02"),
+        ("rom.tolerance", "200", "< 1", "write  --set rom.tolerance=0.0001"),
+        ("error_budget", "5", "< 1", "for 5 %, write  --set error_budget=0.05"),
         ("disc.layers[1].diameter", "-1 mm", "> 0 m", "remove the minus sign"),
         ("solver.trtol", "0.5", ">= 1", "raise solver.trtol to 1"),
     ],
@@ -733,6 +750,155 @@ def test_a_positive_range_of_a_negative_key_proposes_the_negated_range(cli, type
     assert cli("sweep", "impact", "--dry-run", *advice[1:]).exit_code == 0
 
 
+@pytest.mark.parametrize(
+    ("key", "typed", "proposed"),
+    [
+        ("impact.velocity", "1:2", "-1:-2:5"),
+        ("impact.velocity", "log:1", "log:-1:-10:5"),
+        ("impact.velocity", "1 m/s:2", "-1 m/s:-2 m/s:5"),
+        ("impact.velocity", "1:2:x", "-1:-2:5"),
+        ("impact.velocity", "1::5", "-1:-10:5"),
+        ("impact.velocity", "1;2", "-1,-2"),
+        ("impact.velocity", "1 .. 2", "-1:-2:5"),
+        ("impact.velocity", "0:1:5", "-0.5:-1:5"),
+        ("impact.velocity", "-1:1:5", "-1:-0.5:5"),
+        ("impact.velocity", "normal(1)", "normal(-1,0.1,50)"),
+        ("impact.velocity", "random(1,2,5)", "uniform(-2,-1,5)"),
+        ("impact.velocity", "uniform(2,1,5)", "uniform(-2,-1,5)"),
+        ("sphere.radius", "-1 mm:-2 mm:5", "1 mm:2 mm:5"),
+        ("sphere.radius", "0:1 mm:5", "0.5 mm:1 mm:5"),
+        ("sphere.radius", "1 mm:2 mm", "1 mm:2 mm:5"),
+    ],
+)
+def test_a_proposed_range_suits_the_swept_key(cli, key, typed, proposed):
+    """Each proposal corrects all faults of the range, also the sign that the key requires."""
+    failed = cli("sweep", "impact", "--dry-run", "--set", f"{key}={typed}")
+    advice = " ".join(shlex.split(rows(failed.stderr)["next"].removeprefix("write ")))
+    assert advice.removeprefix(f"--set {key}=") == proposed
+    done = cli("sweep", "impact", "--dry-run", "--set", f"{key}={proposed}")
+    assert done.exit_code == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "names"),
+    [
+        ("run buzzer", ["buzzer_7bb_12_9", "buzzer_7bb_15_6"]),
+        ("explain buzzr", ["buzzer_7bb_12_9", "buzzer_7bb_15_6"]),
+        ("verify kick", ["kick_and_catch", "kick_slew", "amplifier_kick"]),
+        ("bench plate", ["plate_pull_in", "plate_switch"]),
+        ("sweep speaker --set a=1:2:3", ["buzzer_and_speaker", "loudspeaker"]),
+        ("fit buzzer:disk x.csv --vary a=1:2", ["buzzer_7bb_12_9"]),
+    ],
+)
+def test_a_word_of_several_scenes_proposes_all_of_them(cli, words, names):
+    Path("x.csv").write_text("frequency_hz,real_ohm,imag_ohm\n1,2,3\n")
+    found = rows(cli(*words.split()).stderr)
+    listed = found["expected"].partition(" such as ")[2].removesuffix(", …").split(", ")
+    assert listed[: len(names)] == names
+    assert len(listed) <= 5
+    assert found["next"].startswith("write one of these names")
+    for name in listed:
+        kc.load_scene(name)
+
+
+@pytest.mark.parametrize("word", ["gap", "harvest", "beam", "loudspeaker2", "buzzer_7bb_20_5"])
+def test_a_word_of_one_scene_proposes_this_scene(cli, word):
+    hint = rows(cli("explain", word).stderr)["next"]
+    kc.load_scene(hint.removeprefix("did you mean '").removesuffix("'?"))
+
+
+@pytest.mark.parametrize(
+    ("scene", "kind", "rounds"),
+    [("harvester", "dc", 1), ("stack_p882", "dc", 1), ("stack_p882", "op", 1),
+     ("comb_resonator", "dc", 1), ("harmonic", "dc", 1), ("plate_pull_in", "ac", 2)],
+)  # fmt: skip
+def test_another_type_of_analysis_names_all_other_keys_as_overrides(cli, scene, kind, rounds):
+    """The advice is an option, because the user changed an override and not the file."""
+    words = ["explain", scene, "--set", f"analysis.type={kind}"]
+    for _ in range(rounds):
+        advice = rows(cli(*words).stderr)["next"].partition("  in place of")[0]
+        verb, *added = shlex.split(advice.partition(", which")[0])
+        words = [*words, *added] if verb == "add" else ["explain", scene, *added]
+    assert cli(*words).exit_code == 0
+
+
+@pytest.mark.parametrize(
+    ("scene", "typed", "option"),
+    [
+        ("buzzer_7bb_20_6", "support=clampd", "disc.support=clamped"),
+        ("buzzer_7bb_20_6", "thickness=1mm", "disc.layers[0].thickness=1mm"),
+        ("buzzer_7bb_20_6", "quality=50", "disc.damping.quality=50"),
+        ("impact", "velocity=-2", "impact.velocity=-2"),
+        ("impact", "stop=1ms", "analysis.stop=1ms"),
+        ("impact", "order=10", "rom.order=10"),
+    ],
+)
+def test_an_override_without_its_table_proposes_the_whole_override(cli, scene, typed, option):
+    advice = rows(cli("explain", scene, "--set", typed).stderr)["next"]
+    words = shlex.split(advice)
+    assert words == ["write", "--set", option, "in", "place", "of", "--set", typed]
+    assert cli("explain", scene, *words[1:3]).exit_code == 0
+
+
+def test_a_sweep_without_the_table_of_its_key_proposes_the_whole_range(cli):
+    for typed in ("-1:-2:5", "normal(-1,0.1,5)"):
+        failed = cli("sweep", "impact", "--dry-run", "--set", f"velocity={typed}")
+        words = shlex.split(rows(failed.stderr)["next"])
+        assert words[1:3] == ["--set", f"impact.velocity={typed}"]
+        assert cli("sweep", "impact", "--dry-run", *words[1:3]).exit_code == 0
+
+
+def test_an_unknown_override_proposes_to_leave_it_out(cli):
+    hint = rows(cli("explain", "impact", "--set", "foo=1").stderr)["next"]
+    assert hint == "leave out --set 'foo=1'; kc2spice scenes --keys lists all keys"
+
+
+def test_a_missing_list_of_layers_in_python_is_an_entry_of_a_dict():
+    hint = fails(kc.load_scene, {"disc": {"part": "disc"}}).hint
+    entry, _, place = hint.removeprefix("add  ").rpartition("  to the dict ")
+    assert place == "disc"
+    key, _, value = entry.partition(": ")
+    assert ast.literal_eval(key) == "layers"
+    kc.load_scene({"disc": {"part": "disc", "layers": ast.literal_eval(value)}})
+
+
+def test_a_table_of_materials_proposes_the_key_of_a_layer(cli):
+    constants = 'density = 8500\nyoungs_modulus = "100 GPa"\npoisson_ratio = 0.3\n'
+    Path("own.toml").write_text(f"[materials.mybrass]\n{constants}{DISC}")
+    found = rows(cli("explain", "own.toml").stderr)
+    assert "own_material.md" in found["next"]
+    material = found["next"].partition("  material = ")[2].partition("  in the layer")[0]
+    layer = {"diameter": "10 mm", "thickness": "0.2 mm"}
+    own = layer | {"material": parse_toml(f"m = {material}")["m"]}
+    layers = [own, layer | {"material": "PZT-5A"}]
+    scene = kc.load_scene({"disc": {"part": "disc", "layers": layers}})
+    assert scene.get_part("disc").keys.layers[0].material["density"] == 8500
+
+
+def test_another_type_of_analysis_in_python():
+    error = fails(kc.load_scene, "harvester", {"analysis.type": "dc"})
+    assert "`stop`, `start` and `scale` have no effect" in error.message
+    table = {"type": "dc", "points": 401, "sweep": "shaker.dc"}
+    assert error.hint == f"write  'analysis': {table}  in place of 'analysis.type': 'dc'"
+    kc.load_scene("harvester", {"analysis": table})
+
+
+def test_several_keys_without_effect_in_a_file(cli):
+    text = 'type = "op"\nstart = 10\nstop = "1 kHz"\npoints = 5\n'
+    Path("own.toml").write_text(DIVIDER.replace('type = "op"\n', text))
+    found = rows(cli("run", "own.toml").stderr)
+    assert found["next"] == "delete the keys `stop`, `start` and `points` of [analysis]"
+
+
+@pytest.mark.parametrize("word", ["murata", "relay"])
+def test_a_word_of_part_numbers_as_a_scene_proposes_a_search(cli, word):
+    hint = rows(cli("run", word).stderr)["next"]
+    assert hint == f"write one of the part numbers that  kc2spice parts {word}  lists"
+    parts = json.loads(cli("parts", word, "--json").stdout)
+    assert parts
+    kc.load_scene(parts[0]["number"])
+
+
 def test_a_missing_model_file_proposes_only_files_that_reduce_reads(cli):
     Path("beam.lib").write_text("")
     assert "beam.lib" not in rows(cli("reduce", "beams.K").stderr)["next"]
@@ -846,3 +1012,257 @@ def test_a_symbol_of_a_result_proposes_a_result_of_the_same_part():
 def test_a_ragged_stiffness_matrix_is_an_error():
     error = fails(kc.LinearModel, M=np.eye(2), K=[[1, 2], [3]], B=np.ones((2, 1)))
     assert error.message == "the rows of matrix K differ in length"
+
+
+MESH_TEXTS = {
+    "a.msh": (MESH.read_text(), "a mesh", 'mesh = "a.msh"'),
+    "renamed.txt": (MESH.read_text(), "a mesh", "save a volume mesh as renamed.msh"),
+    "a.inp": ("*HEADING\nbar\n*NODE\n1, 0., 0., 0.\n", "a mesh", 'mesh = "a.inp"'),
+    "a.bdf": ("SOL 103\nBEGIN BULK\nGRID,1,,0.,0.,0.\n", "a mesh", 'mesh = "a.bdf"'),
+    "a.unv": ("    -1\n  2411\n", "a mesh", 'mesh = "a.unv"'),
+    "a.vtk": ("# vtk DataFile Version 3.0\nbar\nASCII\n", "a mesh", "save a volume mesh as a.msh"),
+    "a.vtu": ('<?xml version="1.0"?>\n<VTKFile>\n', "a mesh", 'mesh = "a.vtu"'),
+    "a.stl": ("solid a\nfacet normal 0 0 1\n", "a surface", "as .step in the CAD program"),
+    "a.step": ("ISO-10303-21;\nHEADER;\n", "a CAD file", 'mesh = "a.step"'),
+    "shape.txt": ("A part".ljust(72) + "S      1\n", "a CAD file", "volume mesh as shape.msh"),
+    "a.igs": (" " * 72 + "S      1\n", "a CAD file", "save a volume mesh as a.msh"),
+}
+
+
+@pytest.mark.parametrize("command", ["run {}", "reduce {}", f"fit {BUZZER_DISC} {{}} {VARIED}"])
+@pytest.mark.parametrize("name", MESH_TEXTS)
+def test_a_mesh_in_place_of_another_file_is_named(cli, command, name):
+    text, kind, advice = MESH_TEXTS[name]
+    Path(name).write_text(text)
+    done = cli(*command.format(name).split())
+    found = rows(done.stderr)
+    assert done.exit_code == 2
+    assert f"this file is {kind}" in found["head"]
+    assert advice in found["next"]
+
+
+def test_every_format_of_meshes_is_recognised_by_its_extension():
+    for suffix in (*FILE_FORMATS, *SURFACE_SUFFIXES):
+        assert identify_format(b"", suffix) in (MESH_FORMAT, SURFACE, CAD), suffix
+
+
+def test_a_mesh_proposes_keys_of_a_part_that_exists(cli):
+    Path("u.msh").write_bytes(MESH.read_bytes())
+    advice = rows(cli("run", "u.msh").stderr)["next"]
+    for text in ('part = "body"', 'mesh = "u.msh"'):
+        assert text in advice
+        assert text in BAR
+    Path("bar.toml").write_text(BAR)
+    assert cli("explain", "bar.toml").exit_code == 0
+    assert cli(*advice.partition("; kc2spice ")[2].partition("  lists")[0].split()).exit_code == 0
+
+
+@pytest.mark.parametrize(
+    "text", ["frequency_hz,real_ohm\n", "grid voltage 5 V\n", "solid copper\n"]
+)
+def test_a_table_is_not_a_mesh(text):
+    assert identify_format(text.encode(), ".csv") is None
+
+
+def test_a_file_of_matrices_with_grid_points_is_not_a_mesh(tmp_path):
+    path = tmp_path / "a.bdf"
+    path.write_text("GRID,1,,0.,0.,0.\nDMIG,KAAX,0,6\n")
+    assert "a mesh" not in fails(kc.read_model, path).message
+
+
+@pytest.mark.parametrize("typed", ["disc.u.centre", "disc.centr"])
+def test_a_missing_port_is_reported_at_the_key_that_refers_to_it(cli, typed):
+    scene = BUZZER + '[series]\npart = "resistor"\nresistance = "1 kOhm"\n'
+    Path("my.toml").write_text(scene + f'pins = {{ a = "{typed}" }}\n')
+    found = rows(cli("explain", "my.toml").stderr)
+    assert "key series.pins.a: disc has no such port" in found["head"]
+    assert found["got"] == repr(typed)
+    assert found["expected"] == "one of disc.anode, disc.cathode"
+    pins = f"pins = {{ {found['next'].removeprefix('write').strip()} }}\n"
+    Path("my.toml").write_text(scene + pins)
+    assert "no such port" not in cli("explain", "my.toml").stderr
+    assert "different kinds" not in cli("explain", "my.toml").stderr
+
+
+def test_a_missing_port_of_a_probe_is_reported_at_the_probe(cli):
+    Path("my.toml").write_text(BUZZER + '[probes]\nx_m = { of = "disc.u.centr", take = "max" }\n')
+    found = rows(cli("explain", "my.toml").stderr)
+    assert "key probes.x_m.of" in found["head"]
+
+
+def test_a_short_simulation_is_reported_at_the_override(cli):
+    found = rows(cli("explain", "buzzer_square", "--set", "analysis.stop=1 ns").stderr)
+    assert "--set 'analysis.stop=1 ns': the simulation is shorter" in found["head"]
+    assert found["got"] == "1 ns"
+    words = shlex.split(found["next"])[1:]
+    assert words[1].startswith("analysis.stop=")
+    assert cli("explain", "buzzer_square", *words).exit_code == 0
+    found = rows(cli("explain", "buzzer_square", "--set", "solver.max_step=1 s").stderr)
+    assert found["next"] == "leave out --set 'solver.max_step=1 s'"
+    found = rows(cli("explain", "buzzer_square", "--set", "analysis.stop=1000 s").stderr)
+    assert "--set 'analysis.stop=1000 s': the run has too many" in found["head"]
+    assert found["next"].startswith("lower analysis.stop")
+
+
+def test_an_error_about_two_keys_names_the_override(cli):
+    override = "gate.pulse.width=200 us"
+    found = rows(cli("explain", "buzzer_square", "--set", override).stderr)
+    assert found["next"].startswith(f"change --set '{override}', or raise pulse.period")
+    error = fails(kc.load_scene, "buzzer_square", {"gate.pulse.width": "200 us"})
+    assert error.hint.startswith(f"change '{override}' in the overrides, or raise pulse.period")
+    Path("my.toml").write_text(
+        '[coil]\npart = "relay"\nresistance = "100 Ohm"\nvoltage = "12 V"\npick_up = "8 V"\n'
+        'release = "2 V"\noperate_time = "10 ms"\n'
+    )
+    found = rows(cli("explain", "my.toml", "--set", "coil.voltage=5 V").stderr)
+    assert found["next"].startswith("change --set 'coil.voltage=5 V', or raise voltage")
+
+
+@pytest.mark.parametrize(
+    ("sizes", "letter", "expected"),
+    [((3, 2, 3), "K", "3 x 3"), ((2, 3, 3), "M", "3 x 3"), ((3, 2, 2), "M", "2 x 2")],
+)
+def test_the_matrix_with_another_size_than_most_is_wrong(sizes, letter, expected):
+    m, k, b = sizes
+    error = fails(kc.LinearModel, M=np.eye(m), K=np.eye(k), B=np.ones((b, 1)))
+    assert error.message == f"matrix {letter} has a wrong size"
+    assert error.expected == expected
+
+
+@pytest.mark.parametrize("text", ["-1,,-0.5", "-1,-0.5,", ",-1,-0.5"])
+def test_an_empty_value_of_a_list_is_named(cli, text):
+    found = rows(cli("sweep", "impact", "--set", f"impact.velocity={text}").stderr)
+    assert "a value is missing beside a comma" in found["head"]
+    assert found["got"] == repr(text)
+    assert found["next"].endswith("-1,-0.5")
+
+
+@pytest.mark.parametrize(
+    ("word", "choice"),
+    [("dB", "spl"), ("decibel", "spl"), ("average", "mean"), ("amplitude", "max"), ("avg", "mean")],
+)
+def test_a_word_for_a_choice_proposes_the_choice_and_lists_it(cli, word, choice):
+    probe = f'[probes]\nx = {{ of = "disc.u.centre", take = "{word}" }}\n'
+    Path("my.toml").write_text(BUZZER + probe)
+    found = rows(cli("explain", "my.toml").stderr)
+    assert found["next"] == f'write  take = "{choice}"'
+    assert f" {choice}," in found["expected"]
+
+
+def test_a_fit_to_phases_in_radians_proposes_the_unit(cli):
+    """The impedance of 20 nF parallel to 1 kOhm, with phases [rad] below a title in degrees."""
+    f = np.linspace(1e3, 4e4, 200)
+    z = 1e3 / (1 + 2j * np.pi * f * 2e-5)
+    lines = [f"{a},{b},{c}" for a, b, c in zip(f, abs(z), np.angle(z), strict=True)]
+    Path("z.csv").write_text("\n".join(["frequency_hz,z_abs_ohm,phase_deg", *lines]) + "\n")
+    done = cli("fit", BUZZER_DISC, "z.csv", *VARIED.split())
+    assert "no values in the ranges" in done.stderr
+    assert "write rad in the title" in done.stderr
+
+
+def test_a_tolerance_of_zero_proposes_a_tolerance_that_works(cli):
+    found = rows(cli("export", "impact", "--tolerance", "0").stderr)
+    words = found["next"].split()[1:]
+    assert words[0] == "--tolerance"
+    assert cli("export", "impact", *words, "--out", "out").exit_code == 0
+
+
+def test_a_measurement_names_all_options_that_do_not_apply(cli):
+    Path("z.csv").write_text("frequency_hz,real_ohm,imag_ohm\n1,2,3\n")
+    found = rows(cli("reduce", "z.csv", "--order", "4", "--tolerance", "1e-3").stderr)
+    assert found["next"] == "leave out --tolerance and --order"
+
+
+def test_an_index_of_a_scene_or_a_result_proposes_the_mapping(tmp_path):
+    scene = kc.load_scene("impact")
+    with pytest.raises(TypeError, match=r"SCENE\.parts\['sphere'\] returns a part"):
+        scene["sphere"]
+    assert scene.parts["sphere"].name == "sphere"
+    path = tmp_path / "my.toml"
+    path.write_text(RESISTOR)
+    result = kc.run(path)
+    with pytest.raises(TypeError, match=r"RESULT\.waves\["):
+        result[next(iter(result.waves))]
+
+
+def test_a_warning_is_printed_once(cli):
+    text = ".subckt load in ref\nR1 in mid 5M\nR2 mid ref 1k\n.ends\n"
+    Path("load.lib").write_text(text)
+    Path("my.toml").write_text(
+        '[load]\npart = "netlist"\nfile = "load.lib"\nsubckt = "load"\n'
+        'pins = { in = "drive.out" }\n'
+        '[drive]\npart = "source"\ndc = "1 V"\n[analysis]\ntype = "op"\n'
+        '[probes]\nv = { of = "drive.v", take = "max" }\n'
+    )
+    assert cli("run", "my.toml").stderr.count("ngspice reads 5M as 5 milli") == 1
+
+
+def test_a_percentage_as_a_tolerance_proposes_the_fraction(cli):
+    found = rows(cli("export", "impact", "--tolerance", "5").stderr)
+    assert found["next"] == "for 5 %, write  --tolerance 0.05"
+    assert cli("export", "impact", "--tolerance", "0.05", "--out", "out").exit_code == 0
+    with pytest.raises(kc.errors.UsageError, match=r"for 5 %, write tolerance=0\.05"):
+        kc.reduce(kc.build("impact")["kick"], tolerance=5)
+
+
+def test_a_number_with_a_prefix_without_quotes_gets_the_unit_of_its_key(cli):
+    text = (
+        '[load]\npart = "resistor"\nresistance = 1k\npins = { a = "drive.out" }\n'
+        '[drive]\npart = "source"\ndc = "1 V"\n[analysis]\ntype = "op"\n'
+        '[probes]\nv = { of = "drive.v", take = "max" }\n'
+    )
+    Path("my.toml").write_text(text)
+    found = rows(cli("run", "my.toml").stderr)
+    assert found["next"] == 'write  resistance = "1 kOhm"'
+    line = found["next"].removeprefix("write  ")
+    Path("my.toml").write_text(text.replace("resistance = 1k", line))
+    assert cli("run", "my.toml").exit_code == 0
+
+
+def test_a_deck_without_subcircuits_proposes_to_make_one(cli):
+    circuit = "V1 in ref 5\nR1 in a 1k\nC1 a ref 10n\n"
+    Path("driver.cir").write_text(f"a driver\n{circuit}.tran 1u 5m\n.end\n")
+    found = rows(cli("run", "driver.cir").stderr)
+    assert "without .subckt" in found["head"]
+    assert ".subckt driver NODE ref  and  .ends, without title, analysis" in found["next"]
+    Path("my.toml").write_text(
+        '[d]\npart = "netlist"\nfile = "driver.cir"\nsubckt = "driver"\n'
+        'pins = { a = "load.a" }\n[load]\npart = "resistor"\nresistance = "1 kOhm"\n'
+        '[analysis]\ntype = "op"\n[probes]\nv = { of = "load.i", take = "max" }\n'
+    )
+    found = rows(cli("run", "my.toml").stderr)
+    assert "card" not in found["head"]
+    assert ".subckt NAME NODE ref  and  .ends" in found["next"]
+    Path("driver.cir").write_text(f".subckt driver a ref\n{circuit}.ends\n")
+    assert cli("run", "my.toml").exit_code == 0
+
+
+def test_a_band_of_an_analysis_proposes_start_and_stop(cli):
+    done = cli("run", "buzzer_7bb_20_6", "--set", "analysis.band=[1, 2]")
+    assert "rom.band" not in done.stderr
+    assert 'start = "10 Hz"  and  stop = "10 kHz"' in done.stderr
+
+
+def test_a_sweep_with_a_misspelt_metric_keeps_its_first_point(cli):
+    words = "sweep", "impact", "--set", "impact.velocity=-1,-0.5", "--out", "out", "--metric"
+    assert "did you mean" in cli(*words, "rebound_velocty").stderr
+    summary = json.loads(cli(*words, "rebound_velocity_m_s", "--json").stdout)
+    assert summary["resumed"] >= 1
+
+
+def test_a_fit_prints_the_assumed_unit_and_asks_for_kilohertz(cli):
+    model = kc.build(kc.load_scene("buzzer_7bb_20_6"))["disc"].select(["anode"])
+    f = np.linspace(4e3, 9e3, 80)
+    Z = 1 / (2j * np.pi * f * model.transfer(f)[:, 0, 0])
+    for name, title, scale in (("z.csv", "frequency", 1e-3), ("y.csv", "frequency_khz", 1e-3)):
+        table = np.column_stack([scale * f, np.abs(Z), np.angle(Z, deg=True)])
+        np.savetxt(name, table, delimiter=",", header=f"{title},impedance,phase", comments="")
+    words = "fit", BUZZER_DISC, "--vary", "damping.quality", "--out", "out"
+    found = rows(cli(*words, "z.csv").stderr)
+    assert "Hz is assumed" in found["got"]
+    assert "from 4 to 9 Hz" in found["got"]
+    assert "write the title  frequency_khz" in found["next"]
+    done = cli(*words, "y.csv")
+    assert done.exit_code == 0
+    assert "80 points from 4000 to 9000 Hz" in " ".join(done.stdout.split())
+    assert "note: " in done.stdout

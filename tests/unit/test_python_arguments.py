@@ -1,5 +1,6 @@
 """Wrong arguments of Python calls raise errors whose advice works, and none is ignored."""
 
+import ast
 import inspect
 import pickle
 from pathlib import Path
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 from messages import fails
 from small_scenes import LAMP
+from support import AdvisesOnAttributes
 
 import kc2spice as kc
 
@@ -254,6 +256,16 @@ def test_wrong_arguments_of_a_call_raise_errors_with_advice(call, head, advice):
     assert advice in caught.value.hint
 
 
+@pytest.mark.parametrize("name", ["set", "settings", "params"])
+@pytest.mark.parametrize("keys", [{KEY: 3}, [f"{KEY}=3"], f"{KEY}=3"])
+def test_a_table_of_keys_under_another_name_is_proposed_as_overrides(name, keys):
+    with pytest.raises(kc.errors.ArgumentError) as caught:
+        kc.load_scene(LAMP, **{name: keys})
+    proposal = caught.value.hint.partition("overrides=")[2]
+    scene = kc.load_scene(LAMP, overrides=ast.literal_eval(proposal))
+    assert scene.get_part("lamp").keys.resistance == 3
+
+
 def test_all_public_functions_reject_unknown_arguments_with_advice():
     for name in kc.__all__:
         function = getattr(kc, name)
@@ -267,3 +279,69 @@ def test_a_warning_about_an_override_names_the_line_of_the_call():
     with pytest.warns(UserWarning, match="replaces it") as found:
         kc.load_scene(LAMP, [f"{KEY}=3", f"{KEY}=4"])
     assert found[0].filename == __file__
+
+
+@pytest.mark.parametrize("out", [{"lamp.resistance": 3}, 3])
+@pytest.mark.parametrize("call", [kc.run, kc.export, kc.verify])
+def test_an_output_that_is_no_path_is_an_error_of_all_functions(call, out):
+    error = fails(call, LAMP, out)
+    assert (error.where, error.message) == ("out", "out is not the path of a directory")
+    assert error.got == repr(out)
+    with_keys = 'to change keys, write kc.run(SCENE, overrides={"rom.order": 10})'
+    assert error.hint == (with_keys if isinstance(out, dict) else 'for example out="results"')
+
+
+def reduced_chain():
+    chain = kc.LinearModel(M=np.eye(4), K=np.diag([1.0, 2, 3, 4]), B=np.ones((4, 1)))
+    return kc.reduce(chain, order=2, band=(0, 0.1))
+
+
+MISSING = {  # object, unknown attribute, and advice that works
+    "model": (reduced_chain, ("write", "save", "export", "to_spice", "netlist"),
+              'kc.subcircuit(MODEL, "NAME").write("NAME.lib")'),
+    "plotted model": (reduced_chain, ("plot",), "MODEL.transfer(FREQUENCIES)"),
+    "subcircuit": (lambda: kc.subcircuit(reduced_chain(), "chain"), ("save", "export", "to_spice"),
+                   'write("NAME.lib")'),
+    "scene": (lambda: kc.load_scene(LAMP), ("write", "save", "export"),
+              'kc.export(SCENE, "DIRECTORY")'),
+    "scene to run": (lambda: kc.load_scene(LAMP), ("run", "simulate", "plot"), "kc.run(SCENE)"),
+    "deck": (lambda: kc.deck(LAMP), ("write", "save", "export"), 'kc.export(SCENE, "DIRECTORY")'),
+    "deck to run": (lambda: kc.deck(LAMP), ("run", "plot"), "kc.simulate(DECK)"),
+    "result": (lambda: kc.run(LAMP), ("write", "export", "to_csv"), 'save("DIRECTORY")'),
+    "table": (lambda: kc.sweep(LAMP, {KEY: [3, 6]}), ("write", "to_csv"), 'save("NAME.csv")'),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", MISSING)
+def test_an_unknown_method_names_the_function_to_call(tmp_path, monkeypatch, case):
+    make, names, advice = MISSING[case]
+    thing = make()
+    for name in names:
+        assert not hasattr(thing, name)
+        with pytest.raises(AttributeError) as caught:
+            getattr(thing, name)
+        head = f"{type(thing).__name__!r} object has no attribute {name!r}; {advice}"
+        assert str(caught.value).startswith(head)
+    monkeypatch.chdir(tmp_path)
+    own = advice if advice.startswith(("kc.", "MODEL.")) else f"THING.{advice}"
+    eval(own, {"kc": kc, "MODEL": thing, "DECK": thing, "THING": thing,
+               "SCENE": LAMP if "DECK" in own or case == "deck" else thing,
+               "FREQUENCIES": [0.05]})  # fmt: skip
+
+
+def test_other_unknown_attributes_are_plain_errors():
+    model = reduced_chain()
+    with pytest.raises(AttributeError, match=r"^'LinearModel' object has no attribute 'ordr'$"):
+        model.ordr  # noqa: B018
+    assert pickle.loads(pickle.dumps(model)).order == model.order
+
+
+class Broken(AdvisesOnAttributes):
+    @property
+    def value(self):
+        return self.missing
+
+
+def test_an_attribute_error_inside_of_a_property_keeps_its_name():
+    with pytest.raises(AttributeError, match="'Broken' object has no attribute 'missing'"):
+        Broken().value  # noqa: B018

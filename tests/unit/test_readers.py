@@ -37,7 +37,8 @@ ROWS = [(node, kind) for node in NODES for kind in KINDS]
 
 
 def write_market(path, matrix):
-    scipy_io.mmwrite(str(path), sparse.coo_array(np.atleast_2d(matrix)), symmetry="general")
+    table = matrix if sparse.issparse(matrix) else np.atleast_2d(matrix)
+    scipy_io.mmwrite(str(path), sparse.coo_array(table), symmetry="general")
     written = path if path.exists() else path.with_name(path.name + ".mtx")
     if written != path:
         written.rename(path)
@@ -655,6 +656,55 @@ def test_a_square_c_beside_m_and_k_is_damping_or_outputs_by_word_only(tmp_path):
     assert LinearModel(M=mass, C=np.eye(n), K=stiff, B=load).pencil.is_undamped
 
 
+def test_a_square_d_beside_m_and_k_is_damping_or_feedthrough_by_word_only(tmp_path):
+    """Of a chain with a force at every mass: static gains, and the lowest damping ratio by hand."""
+    n, k, m, loss = 4, 2e3, 1e-3, 0.01
+    stiff = k * (2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1))
+    matrices = {"M": m * np.eye(n), "D": loss * np.eye(n), "K": stiff, "B": np.eye(n)}
+    np.savez(tmp_path / "m.npz", **matrices)
+    np.savez(tmp_path / "one.npz", **matrices | {"B": np.eye(n)[:, :1]})
+    for letter, matrix in matrices.items():
+        write_market(tmp_path / f"n.{letter}", matrix)
+    for name in ("m.npz", "one.npz", "n.K"):
+        refused(tmp_path / name, "matrix D is the damping matrix or the feedthrough", "zero matrix")
+    damped = read_model(tmp_path / "m.npz", sidecar(tmp_path, 'damping_matrix = "D"\n'))
+    static = np.linalg.inv(stiff)
+    assert damped.transfer(np.zeros(1))[0] == pytest.approx(static)
+    omega = 2 * np.sqrt(k / m) * np.sin(np.pi / (2 * (n + 1)))  # of the lowest mode
+    lowest = min(damped.poles(), key=abs)
+    assert abs(lowest) == pytest.approx(omega)
+    assert -lowest.real == pytest.approx(loss / (2 * m))
+    np.savez(tmp_path / "e.npz", E=np.zeros((n, n)), **matrices)
+    direct = read_model(tmp_path / "e.npz")
+    assert direct.pencil.is_undamped
+    assert direct.transfer(np.zeros(1))[0] == pytest.approx(static + loss * np.eye(n))
+    side = sidecar(tmp_path, 'damping_matrix = "D"\n')
+    refused(tmp_path / "e.npz", "does not fit the matrices of the model", side=side)
+    np.savez(tmp_path / "zero.npz", **matrices | {"D": np.zeros((n, n))})
+    assert read_model(tmp_path / "zero.npz").pencil.is_undamped
+    with pytest.raises(UsageError, match="whether matrix D is the damping matrix"):
+        LinearModel(**matrices)
+    assert LinearModel(**matrices, rayleigh=(0, 0)).D[0, 0] == loss
+    # in the first-order form, D is the feedthrough matrix
+    first = {"A": -stiff, "E": m * np.eye(n), "B": np.eye(n), "D": loss * np.eye(n)}
+    np.savez(tmp_path / "first.npz", **first)
+    assert read_model(tmp_path / "first.npz").D[0, 0] == loss
+
+
+def test_a_large_sparse_damping_matrix_named_d_stays_sparse(tmp_path):
+    """A dense D of 6000 rows would exceed the limit for feedthrough matrices."""
+    n = 6000
+    chain = sparse.diags_array([np.full(n, 2.0), np.full(n - 1, -1.0)], offsets=(0, 1))
+    matrices = {"M": sparse.eye_array(n), "D": 0.01 * sparse.eye_array(n), "K": chain + chain.T}
+    for letter, matrix in matrices.items():
+        write_market(tmp_path / f"n.{letter}", sparse.coo_array(matrix))
+    write_market(tmp_path / "n.B", np.eye(n, 1))
+    damped = read_model(tmp_path / "n.K", sidecar(tmp_path, 'damping_matrix = "D"\n'))
+    assert damped.E.nnz == n
+    write_market(tmp_path / "n.E", sparse.coo_array(matrices["D"]))
+    refused(tmp_path / "n.K", "too large for a feedthrough matrix", "leave out the matrix D")
+
+
 @pytest.mark.parametrize("letter", ["M", "K"])
 def test_an_asymmetric_matrix_of_a_body_is_a_warning_with_its_size(letter, tmp_path):
     """One entry of -1 is 2 % too large beside diagonal entries of 2, so 1 % of the largest one."""
@@ -678,3 +728,90 @@ def test_an_asymmetric_matrix_of_a_body_is_a_warning_with_its_size(letter, tmp_p
         with warnings.catch_warnings():
             warnings.simplefilter("error")
             read_model(tmp_path / "body.npz")
+
+
+def rotor():
+    """Return the matrices of a rotor with gyroscopic matrix G, and its two natural frequencies.
+
+    The poles of ``x'' + g y' + x = 0`` and ``y'' - g x' + y = 0`` are j w with w^2 - 1 = +-g w.
+    """
+    g = 0.5
+    matrices = {"M": np.eye(2), "K": np.eye(2), "B": np.eye(2)}
+    w = np.sqrt(1 + g**2 / 4)
+    return matrices, np.array([[0.0, g], [-g, 0.0]]), np.array([w - g / 2, w + g / 2])
+
+
+def save_rotor(folder, kind, **more):
+    matrices, G, _ = rotor()
+    arrays = matrices | {"G": G} | more
+    if kind == "files":
+        write_family(folder, "m.{}.mtx", **arrays)
+        return folder / "m"
+    path = folder / f"m.{kind}"
+    if kind == "mat":
+        scipy_io.savemat(path, arrays)
+    elif kind == "npz":
+        np.savez(path, **arrays)
+    else:  # a sparse G in an archive
+        path = folder / "m.npz"
+        csc = sparse.csc_array(arrays.pop("G"))
+        parts = {f"G.{key}": getattr(csc, key) for key in ("data", "indices", "indptr", "shape")}
+        np.savez(path, **arrays, **parts, **{"G.format": np.array("csc")})
+    return path
+
+
+@pytest.mark.parametrize("kind", ["mat", "npz", "sparse", "files"])
+def test_a_matrix_of_unknown_name_is_named_and_its_advice_works(kind, tmp_path):
+    """Follow the proposed TOML line; the natural frequencies then are those of the gyroscope."""
+    path = save_rotor(tmp_path, kind, ones=np.ones((3, 3)))
+    with pytest.warns(UserWarning, match="matrix G of 2 x 2 is not used") as caught:
+        plain = read_model(path)
+    assert abs(plain.poles()) == pytest.approx(1.0)
+    assert len(caught) == 1  # the array with three rows is not part of the model
+    line = re.search(r"write  (.+)  into m.toml", str(caught[0].message))[1]
+    sidecar(tmp_path, line)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        model = read_model(path)
+    assert np.unique(np.round(abs(model.poles()), 9)) == pytest.approx(rotor()[2])
+
+
+@pytest.mark.parametrize("kind", ["mat", "npz"])
+def test_a_second_damping_matrix_is_to_be_added(kind, tmp_path):
+    path = save_rotor(tmp_path, kind, E=0.1 * np.eye(2))
+    with pytest.warns(UserWarning, match="add it to the damping matrix"):
+        read_model(path)
+
+
+@pytest.mark.parametrize("kind", ["mat", "npz"])
+def test_a_name_in_matrices_must_be_in_the_file(kind, tmp_path):
+    path = save_rotor(tmp_path, kind)
+    side = sidecar(tmp_path, 'matrices = { E = "G", K = "nonsense" }\n')
+    error = refused(path, "the file contains no matrix nonsense", side=side)
+    assert "G" in error.expected
+    refused(path, "only from OP4", side=sidecar(tmp_path, 'matrices = { H = "G" }\n'))
+
+
+def test_names_of_matrices_do_not_apply_to_files_of_one_matrix(tmp_path):
+    path = save_rotor(tmp_path, "files")
+    side = sidecar(tmp_path, 'matrices = { E = "G" }\n')
+    refused(path, "does not contain names of matrices", "files", side=side)
+
+
+@pytest.mark.parametrize("kind", ["mat", "npz"])
+def test_the_matrix_of_a_term_is_no_unknown_matrix(kind, tmp_path):
+    """Of a mass on springs of 1 and 3: at p = 2, the stiffness is 1 + 2 * 3 = 7."""
+    arrays = {"M": np.eye(2), "K": np.eye(2), "B": np.eye(2), "spring": 3 * np.eye(2)}
+    if kind == "mat":
+        scipy_io.savemat(tmp_path / "m.mat", arrays)
+    else:
+        np.savez(tmp_path / "m.npz", **arrays)
+    sidecar(
+        tmp_path,
+        "[parameters]\np = { default = 2, low = 1, high = 3 }\n"
+        '[[terms]]\nmatrix = "K"\nfactor = "p"\nname = "spring"\n',
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        model = read_model(tmp_path / f"m.{kind}")
+    assert model.transfer(np.zeros(1))[0] == pytest.approx(np.eye(2) / 7)

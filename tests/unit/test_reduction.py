@@ -1,6 +1,7 @@
 """Several reductions of one model: shared work, error estimates, reconstruction, optimality."""
 
 import json
+from pathlib import Path
 
 import mor_families as families
 import numpy as np
@@ -8,10 +9,20 @@ import oracle
 import pytest
 from scipy import sparse
 from scipy.linalg import solve_continuous_lyapunov
-from support import UsageError, app, compare_methods, factor
+from support import (
+    NORM_WORDS,
+    PEAK_SHARE,
+    RomKeys,
+    UsageError,
+    app,
+    compare_methods,
+    factor,
+    reduce_file,
+)
 from typer.testing import CliRunner
 
 import kc2spice as kc
+from bench.beam import steel_cantilever
 
 TOLERANCES = 1e-2, 1e-3, 1e-4, 1e-5, 1e-6
 
@@ -309,8 +320,9 @@ def test_a_second_order_model_prints_unknowns_and_first_order_states(tmp_path, d
     np.savez(file, **(second if degree == 2 else {"A": -K, "B": B, "C": B.T}))
     words = ["reduce", str(file), "--band", "0", "0.05", "--order", "3"]
     text = CliRunner().invoke(app, [*words, "-o", str(tmp_path / "out")]).stdout
-    row = next(line.split(maxsplit=1) for line in text.splitlines() if line.startswith("states"))
-    assert row[1].strip() == ("3 (6 of first order)" if degree == 2 else "3")
+    name = "unknowns" if degree == 2 else "states"
+    row = next(line.split(maxsplit=1) for line in text.splitlines() if line.startswith(name))
+    assert row[1].strip() == ("3 (6 first-order states)" if degree == 2 else "3")
     table = CliRunner().invoke(app, [*words, "--method", "compare"]).stdout.splitlines()
     heading = " ".join(word for line in table[1:3] for word in line.split())
     assert "first-order" in heading
@@ -332,3 +344,55 @@ def test_a_comparison_of_an_unstable_model_warns_and_has_its_exit_code(tmp_path)
     assert "rational Krylov" in ran.stdout
     assert "the model is unstable" in ran.stderr
     assert "was written" not in ran.stderr
+
+
+def test_a_warning_names_the_line_of_the_users_program():
+    """The mass on a spring of negative stiffness is unstable."""
+    unstable = kc.LinearModel(M=np.eye(2), K=np.diag([1.0, -1.0]), B=np.ones((2, 1)))
+    with pytest.warns(UserWarning, match="unstable") as caught:
+        kc.reduce(unstable, order=2, band=(0, 1))
+    assert {item.filename for item in caught} == {__file__}
+    line = Path(__file__).read_text(encoding="utf-8").splitlines()[caught[0].lineno - 1]
+    assert line.strip() == "kc.reduce(unstable, order=2, band=(0, 1))"
+
+
+def test_all_warnings_of_the_package_name_the_users_line():
+    package = Path(kc.__file__).parent
+    modules = [path for path in package.rglob("*.py") if "warnings.warn(" in path.read_text()]
+    assert [path.name for path in modules] == ["user_warnings.py"]
+
+
+@pytest.mark.parametrize("kind", ["mechanical", "signal", "method", "order"])
+def test_reduce_prints_that_other_methods_may_need_fewer_states(tmp_path, kind):
+    """For ports that exchange energy, balanced truncation is tried only in the comparison."""
+    M, K, B = steel_cantilever(30)
+    E = 1e-6 * K
+    E[28, 28] += 0.5  # a dashpot in the middle
+    np.savez(tmp_path / "chain.npz", M=M, E=E, K=K, B=B)
+    if kind != "signal":
+        text = '[[ports]]\nname = "tip"\nkind = "mechanical"\ncolumn = 1\n'
+        (tmp_path / "chain.toml").write_text(text)
+    words = ["reduce", str(tmp_path / "chain.npz"), "--band", "0", "500", "--norm", "peak"]
+    words += ["--tolerance", "1e-3"] if kind != "order" else ["--order", "6"]
+    extra = ["--method", "response POD"] if kind == "method" else []
+    done = CliRunner().invoke(app, [*words, *extra, "-o", str(tmp_path / "out")])
+    assert done.exit_code == 0, done.output
+    note = "note: other methods may need fewer states"
+    assert (note in done.output) == (kind == "mechanical")
+    if kind == "mechanical":
+        assert "repeat the command with --method compare" in done.output
+        compared = CliRunner().invoke(app, [*words, "--method", "compare", "--json"]).stdout
+        states = {row["method"]: row["states"] for row in json.loads(compared)["methods"]}
+        assert states["balanced truncation"] < states["default"]
+
+
+def test_the_floor_of_the_norm_pointwise_is_stated_wherever_the_norm_is_described():
+    """Errors at deeper notches are relative to a millionth of the peak."""
+    assert PEAK_SHARE == 1e-6
+    words = NORM_WORDS["pointwise"]
+    assert words == "the response at each frequency or 1e-6 of its peak, whichever is larger"
+    help_text = " ".join(CliRunner().invoke(app, ["reduce", "--help"]).stdout.split())
+    assert words in help_text
+    assert words in RomKeys.model_fields["norm"].description
+    for function in (kc.reduce, reduce_file, kc.Certificate):
+        assert "a millionth of" in function.__doc__

@@ -111,7 +111,7 @@ def test_words_of_a_unit_are_not_in_tables(unit, bare) -> None:
 )
 def test_a_check_is_printed_with_its_label(name, label, printed) -> None:
     check = Check(name, 2.0, 1.0, "V", "lower it", label=label)
-    assert check.violation == f"check {printed}: 2 V, limit 1 V: lower it"
+    assert check.violation == f"failed check: {printed}: 2 V, limit 1 V: lower it"
     record = check.make_record()
     assert (record["name"], record["label"]) == (name, printed)
     assert ("VIOLATED", f"{printed}: 2 V, limit 1 V") in format_summary({"checks": [record]}).rows
@@ -191,7 +191,8 @@ def test_a_reduced_model_has_the_name_of_its_part() -> None:
     assert tables["Reduced model: disc"] == [
         ("states", "5"), ("band", "504 Hz to 16.8 kHz"), ("error estimate", "0.0269 %"),
         ("error estimated as", "difference from a model"),
-        ("error relative to", "the response at each frequency"),
+        ("error relative to",
+         "the response at each frequency or 1e-6 of its peak, whichever is larger"),
     ]  # fmt: skip
     text = "5 states, error estimate 0.027 %, 504 Hz to 16.8 kHz"
     assert format_summary(result).rows[-1] == ("reduced model of disc", text)
@@ -431,3 +432,8 @@ def test_the_uncertainty_of_a_level_has_a_sign_and_two_digits() -> None:
 def test_a_ratio_that_is_a_rounding_error_is_zero() -> None:
     assert format_value_and_limit(5e-16, 1e-11, "relative") == ("0 %", "1e-09 %")
     assert format_value_and_limit(1.2e-10, 5e-9, "relative") == ("1.2e-08 %", "5e-07 %")
+
+
+def test_a_run_without_checks_does_not_read_like_a_failure():
+    """0 passed would read like a failure."""
+    assert format_summary({"checks": []}).rows[0] == ("checks", "no check applies to this run")

@@ -117,6 +117,33 @@ def test_command_line_reduces_and_exports(tmp_path, cli):
     assert f"order={found['order']}" in text
 
 
+def test_reduction_is_printed_with_one_fact_per_row(tmp_path, cli):
+    """Errors are ratios as in ``--tolerance``, and each fact about the method has its own row."""
+    base = saved(tmp_path, chain())
+    ran = cli("reduce", str(base), "-o", "out", "--tolerance", "1e-5", "--band", "0", "0.1")
+    assert ran.exit_code == 0, ran.output
+    lines = [" ".join(line.split()) for line in ran.stdout.splitlines()]
+    assert lines[0] == "Reduced model"
+    assert "band 0 Hz to 100 mHz" in lines
+    (estimate,) = (line for line in lines if line.startswith("error estimate "))
+    ratio, words = estimate.removeprefix("error estimate ").split(" of ", 1)
+    assert float(ratio) <= 1e-5
+    assert words == "the largest response in the band"
+    assert "%" not in ran.stdout
+    begin = next(k for k, line in enumerate(lines) if line.startswith("method difference from"))
+    assert any(line.startswith("stability from") for line in lines[begin + 1 :])
+
+
+def test_directory_of_a_reduced_model_leads_to_its_file(tmp_path, cli):
+    base = saved(tmp_path, chain())
+    assert cli("reduce", str(base), "-o", "out", "--band", "0", "0.1", "--quiet").exit_code == 0
+    ran = cli("export", "--rom", "out")
+    assert ran.exit_code == 2
+    advice = ran.stderr.partition("next:")[2].split()
+    assert advice[0] == "write"
+    assert cli("export", "--rom", advice[1], "--quiet").exit_code == 0
+
+
 def test_command_line_writes_nothing_on_bad_input(tmp_path, cli):
     base = saved(tmp_path, chain() | {"K": np.full((N, N), np.nan)})
     before = sorted(tmp_path.iterdir())

@@ -117,3 +117,15 @@ def test_the_table_of_modes_that_damping_couples():
     assert [m["quality"] for m in found] == pytest.approx(omega / (added * gain2), rel=1e-3)
     shares = gain2 / omega**2
     assert [m["couplings"]["mech"] for m in found] == pytest.approx(shares, rel=1e-3)
+
+
+def test_a_mode_that_lowers_a_capacitance_has_no_coupling_factor():
+    """Damping that couples modes gives one of them a negative share, whose root is not a number."""
+    damping = np.array([[0.1, 0.15], [0.15, 0.3]])
+    ports = (TIP, Port("anode", "electrical"))
+    model = LinearModel(M=np.eye(2), E=damping, K=np.diag([1.0, 4.0]), B=np.eye(2),
+                        D=np.diag([0.0, 1.0]), ports=ports)  # fmt: skip
+    first, second = (mode["couplings"]["anode"] for mode in tabulate_modes(model)["modes"])
+    assert first == 0.0
+    # the second mode alone: C = 1/4 F beside 1 F
+    assert second == pytest.approx(np.sqrt(0.25 / 1.25), rel=0.02)

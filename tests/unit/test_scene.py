@@ -73,7 +73,7 @@ def test_order_and_tolerance_replace_each_other():
 # Every mistake: the overrides, what the message must contain besides the key that was set.
 MISTAKES = [
     ("kick.drive.volage=3", ["unknown key", "did you mean 'voltage'"]),
-    ("voltage=3", ["unknown key", "did you mean 'kick.drive.voltage'"]),
+    ("voltage=3", ["unknown key", "write  --set kick.drive.voltage=3"]),
     ("kik.drive.voltage=3", ["this scene has no part 'kik'", "did you mean 'kick'"]),
     ("kick.drive.voltage=80 m", ["wrong unit 'm'", "number in V"]),
     ("kick.drive.voltage.x=3", ["is a value, not a table"]),

@@ -4,7 +4,7 @@ from contextlib import suppress
 from fractions import Fraction
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from support import UsageError, convert_quantity
 
@@ -86,3 +86,26 @@ def test_refuses(value, si, message):
 def test_never_fails_otherwise(text):
     with suppress(UsageError):
         assert isinstance(convert_quantity(text, "m"), float)
+
+
+UNITS = ["m", "kg", "s", "Hz", "F", "H", "V", "A", "Ohm", "N", "N/m", "m/s", "Pa", "K", "T", "W",
+         "m2", "m3", "kg/m3", "A s/m", "K/W", "Ohm m", ""]  # fmt: skip
+WORDS = ["N1", "m1", "1N", "m/", "/m", "m//s", "m^", "^2", "m^x", "m2m", "m-1", "mm mm", "µ", "°C",
+         "℃", "inch", '"', "1/", "(m", "m)", "()", "m s)", "kkg", "u", "%", "N m/", "deg C",
+         "volts", "micro F", "m²", "m³²", "..", "-", "to", ":", ";", ","]  # fmt: skip
+
+
+@given(
+    st.sampled_from(["1", "-2", "1.5", "1,5", "1e3", ".5", "1 2", "1 ..", "1:2", "0x1", "1e999"]),
+    st.lists(st.sampled_from(WORDS) | st.text(max_size=3), min_size=1, max_size=4),
+    st.sampled_from(["", " ", "\t"]),
+    st.sampled_from(UNITS),
+)
+@example("1", ["N1"], " ", "m")
+@settings(max_examples=400)
+def test_no_odd_unit_fails_otherwise(number, words, gap, si):
+    """The error proposes a correction, whose code reads the typed unit too."""
+    try:
+        assert isinstance(convert_quantity(f"{number}{gap}{gap.join(words)}", si), float)
+    except UsageError as error:
+        assert error.hint

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy
 from scipy.linalg import eigh
 from support import (
     SimulationError,
@@ -177,12 +178,14 @@ BAD = {
     "duplicate": (
         lambda t: t.project(vectors(t)[:, [0, 1, 1, 2]]), "linearly dependent", "column 2 of 4"
     ),
-    "zero": (lambda t: t.project(0 * vectors(t)), "linearly dependent", "column 0 of 5"),
+    "zero": (lambda t: t.project(0 * vectors(t)), "linearly dependent", "columns 0 to 4 of 5"),
     "too many": (
-        lambda t: t.project(np.hstack([np.eye(N), vectors(t)])), "linearly dependent", "column 40"
+        lambda t: t.project(np.hstack([np.eye(N), vectors(t)])), "linearly dependent",
+        "columns 40 to 44 of 45",
     ),
     "dependent test vectors": (
-        lambda t: t.project(vectors(t), np.ones((N, 5))), "W: the vectors are linearly", "column 1"
+        lambda t: t.project(vectors(t), np.ones((N, 5))), "W: the vectors are linearly",
+        "columns 1 to 4 of 5",
     ),
     "complex": (lambda t: t.project(vectors(t) * 1j), "complex", "complex128"),
     "ragged": (lambda t: t.project([[1.0], [1.0, 2.0]]), "not an array of numbers", "list"),
@@ -206,6 +209,33 @@ def test_an_invalid_basis_is_an_error_with_the_method(case):
     assert "expected:" in text
 
 
+@pytest.mark.parametrize(("count", "listed"), [(1, "columns 1, 3, 5 to 7 of 8"), (12, "columns 1")])
+def test_the_hint_about_dependent_columns_removes_all_of_them(count, listed):
+    """The hint is run as it is printed; three vectors remain, or as many as there are."""
+
+    def repeated(task):
+        V = vectors(task)[:, :3]
+        if count > 1:  # many separate runs of dependent columns
+            pairs = np.eye(N)[:, :count]
+            return np.hstack([np.stack([v, v], axis=1) for v in pairs.T])
+        return np.column_stack([V[:, 0], V[:, 0], V[:, 1], 2 * V[:, 1], V[:, 2], V])
+
+    with pytest.raises(UsageError, match="linearly dependent") as caught:
+        reduced(lambda task: task.project(repeated(task)))
+    assert listed in caught.value.got
+    seen = []
+
+    def corrected(task):
+        names = {"np": np, "scipy": scipy, "V": repeated(task)}
+        exec(caught.value.hint.removeprefix("write "), names)
+        seen.append(names["V"])
+        return task.project(names["V"])
+
+    with pytest.raises(SimulationError, match="tolerance is out of reach"):
+        kc.reduce(chain(), tolerance=1e-9, band=(0, 1e6), method=UserMethod(corrected))
+    assert seen[0].shape[1] == (3 if count == 1 else count)
+
+
 @pytest.mark.parametrize("method", [np.eye(3), UserMethod, 3, UserMethod.basis])
 def test_an_object_that_is_not_a_method_is_an_error(method):
     with pytest.raises(UsageError, match="not a reduction method"):
@@ -225,8 +255,8 @@ def test_an_unknown_method_lists_five_methods_and_states_where_new_ones_work():
     with pytest.raises(UsageError, match=r"kc\.register_reductor") as caught:
         kc.reduce(chain(), tolerance=1e-3, method="OWN")
     assert "response POD of both sides" in caught.value.expected
-    assert "in all)" in caught.value.expected
-    with pytest.raises(UsageError, match="did you mean 'block Krylov'"):
+    assert "in all: kc2spice reduce MODEL --method compare)" in caught.value.expected
+    with pytest.raises(UsageError, match=r"'block Krylov'\? For your own method, call kc"):
         kc.reduce(chain(), tolerance=1e-3, method="block Krilov")
 
 

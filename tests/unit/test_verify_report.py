@@ -1,6 +1,8 @@
 """Comparisons of a verification: waves and pairs of a gate, points, metrics without a unit."""
 
+import importlib
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,6 +18,8 @@ from support import (
     list_gate_checks,
     list_metric_errors,
 )
+
+verification = importlib.import_module("kc2spice.workflow.verify.scene_verification")
 
 
 def response(low: float, high: float) -> Waveforms:
@@ -72,6 +76,16 @@ def test_waves_of_unequal_points_are_compared_where_both_are() -> None:
     assert all(e.largest < 1e-12 for e in back.values())
 
 
+def test_a_rounding_error_beside_an_exact_zero_is_no_difference() -> None:
+    """A displacement that a source prescribes as zero, and the rounding error of the equations."""
+    points = np.arange(3.0)
+    for wrong, listed in ((1e-21, False), (1e-9, True)):
+        exact = Waveforms({"sweep": points, "beam.u.tip": np.full(3, wrong)}, {})
+        ours = Waveforms({"sweep": points, "beam.u.tip": np.zeros(3)}, {})
+        found = compute_output_errors("p", ours, exact)
+        assert [e.rms for e in found] == ([1.0] if listed else [])
+
+
 def test_the_error_of_a_metric_without_unit_is_relative_to_itself() -> None:
     waves = Waveforms({"frequency": np.array([1.0, 1e5]), "z": np.array([2.0, 3.0])}, {})
     units = {"z": "Ohm"}
@@ -108,3 +122,19 @@ def test_equal_metric_names_of_parts_are_checked_separately() -> None:
     alone = (Solution(none, {"speed_m_s": v}) for v in (1.5, 1.0))
     ((row,), _) = list_gate_checks(gates[:1], "ngspice_vs_rom", *alone)
     assert row.value == pytest.approx(0.5)
+
+
+def test_checks_with_halved_time_steps_are_named_as_such(monkeypatch) -> None:
+    """The result with coarse time steps is 5 % off; both solutions use the full model."""
+    none = Waveforms({"time": np.arange(2.0)}, {})
+    coarse, fine = (Solution(none, {"speed_m_s": value}) for value in (1.05, 1.0))
+    solutions = iter((coarse, fine))
+    monkeypatch.setattr(verification, "complete_solution", lambda waves, build: next(solutions))
+    gate = Gate("speed", "speed_m_s", {"rom_vs_fom": 0.1})
+    outcome = VerificationResult()
+    work = SimpleNamespace(build=None, outcome=outcome, _list_model_gates=lambda: [("catch", gate)])
+    verification._Verification._check_time_steps(work, none, none)
+    (check,) = outcome.checks
+    assert (check.value, check.passed) == (pytest.approx(0.05), True)
+    assert check.name == "speed, full model, time steps halved"
+    assert check.label == "relative error of speed, full model, time steps halved"
