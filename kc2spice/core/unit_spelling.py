@@ -148,6 +148,8 @@ def suggest_spelling(value: object, si: str) -> str | None:
         return f"write one value, such as  {first}; kc2spice sweep accepts a range or a list"
     match = NUMBER_WITH_UNIT.fullmatch(value.rstrip())
     typed = None if match is None else _TypedQuantity(value.strip(), match[1], match[2])
+    if typed is not None and typed.unit == "%" and si:
+        return _make_form_hint(si)  # "2 % m" would be 0.02 m
     if typed is not None:
         for correct in _CORRECTIONS:
             if advice := correct(typed, si):

@@ -215,9 +215,10 @@ def _find_key(holder: Any, step: str, so_far: str, where: str, suggestion: str |
                 where=where,
                 hint=f"name an entry, such as {so_far}[0].{step}",
             )
-        raise UsageError(
-            f"{so_far} is a value, not a table", where=where, hint=f"write {so_far}=VALUE"
-        )
+        hint = f"write {so_far}=VALUE"
+        if isinstance(holder, str) and re.search(r"\.material$|\.materials\.\w+$", so_far):
+            hint = f"set {so_far}={{ like = {format_toml(holder)} }} before this key"
+        raise UsageError(f"{so_far} is a value, not a table", where=where, hint=hint)
     if not isinstance(holder, list):
         raise UsageError(
             f"{so_far} is not a list in this scene",

@@ -487,6 +487,8 @@ def test_a_card_that_ngspice_rejects_is_quoted(tmp_path, monkeypatch):
         ("2:1 kOhm:5", "2 Ohm:1 kOhm:5"),
         ("normal(1 kOhm,100,5)", "normal(1 kOhm,100 Ohm,5)"),
         ("normal(2,0.1 kOhm,5)", "normal(2 kOhm,0.1 kOhm,5)"),
+        ("normal(1 kOhm,2 %,5)", "normal(1 kOhm,0.02 kOhm,5)"),
+        ("normal(1e3,2 %,5)", "normal(1e3,20,5)"),
         ("100 .. 1000", "100:1000:5"),
         ("1 to 2 kOhm", "1 kOhm:2 kOhm:5"),
     ],
@@ -496,6 +498,22 @@ def test_a_range_with_one_unit_or_with_dots(cli, typed, advised):
     failed = cli("sweep", "divider.toml", "--set", f"load.resistance={typed}", "--dry-run")
     assert rows(failed.stderr)["next"] == f"write {advised}"
     done = cli("sweep", "divider.toml", "--set", f"load.resistance={advised}", "--dry-run")
+    assert done.exit_code == 0, done.stderr
+
+
+def test_a_constant_of_a_named_material(cli):
+    key = "disc.layers[0].material.youngs_modulus=normal(100e9,2e9,3)"
+    failed = cli("sweep", "buzzer_7bb_20_6", "--set", key, "--dry-run")
+    advice = re.fullmatch(r"set (.*) before this key", rows(failed.stderr)["next"])[1]
+    done = cli("sweep", "buzzer_7bb_20_6", "--set", advice, "--set", key, "--dry-run")
+    assert done.exit_code == 0, done.stderr
+
+
+def test_percent_at_a_key_with_a_unit(cli):
+    Path("divider.toml").write_text(DIVIDER)
+    failed = cli("run", "divider.toml", "--set", "load.resistance=2 %")
+    assert rows(failed.stderr)["next"] == 'write a number with its unit, such as "1 Ohm"'
+    done = cli("run", "divider.toml", "--set", "load.resistance=1 Ohm")
     assert done.exit_code == 0, done.stderr
 
 

@@ -16,6 +16,7 @@ from pydantic import BaseModel
 from kc2spice.core.errors import UsageError, did_you_mean, list_candidates, wrong
 from kc2spice.core.key_errors import validate_table
 from kc2spice.core.schemas import find_unit, join_path, list_keys
+from kc2spice.fem.materials import MaterialTable
 from kc2spice.netlist.circuit import Param
 from kc2spice.parts.bodies._linear_body_keys import LinearKeysT
 from kc2spice.rom.parametric_models import MAX_PARAMETERS, ParameterAxis
@@ -280,7 +281,8 @@ def _find_missing_entry(keys: Any, key: str) -> tuple[str, int] | None:
 
 def _read_material(part: Part, table: Mapping[str, Any], key: str) -> BaseModel:
     """Return the material that a table states, validated for the type of the part."""
-    return validate_table(part.type.material_table, table, f"{part.name}.{key}")  # type: ignore[attr-defined]
+    schema = getattr(part.type, "material_table", MaterialTable)  # a sphere is not a body
+    return validate_table(schema, table, f"{part.name}.{key}")
 
 
 def read_number_key(part: Part, key: str, where: str) -> tuple[float, str]:

@@ -316,6 +316,29 @@ def _split_words(text: str, separator: str) -> list[str]:
     return list(map(str.strip, parts))
 
 
+def _require_absolute_deviation(words: Sequence[str], text: str, where: str) -> None:
+    """Reject a normal distribution with a standard deviation in percent of the mean.
+
+    ``words`` are the fields of the range ``text``. A mean in percent permits a deviation in
+    percent.
+
+    Raises
+    ------
+    UsageError : the standard deviation is in percent, but the mean is not.
+    """
+    mean, deviation = map(NUMBER_WITH_UNIT.fullmatch, words[:2])
+    if mean and deviation and deviation[2] == "%" != mean[2] and float(mean[1]):
+        absolute = scale_quantity(words[0].lstrip("+-"), abs(float(deviation[1])) / 100)
+        raise ProposedRangeError(
+            "the standard deviation cannot be in percent of the mean",
+            where=where,
+            text=text,
+            got=repr(words[1]),
+            expected="a standard deviation in the unit of the mean",
+            proposal=join_range("normal", [words[0], absolute, words[2]]),
+        )
+
+
 def find_swept_key(name: str, keys: Mapping[str, KeyDescription]) -> KeyDescription:
     """Return the description of a swept key, or an empty one for any other name.
 
@@ -345,6 +368,8 @@ def parse_range(name: str, text: str, keys: Mapping[str, KeyDescription]) -> Val
         return UsageError(message, where=where, got=got, expected=expected, hint=hint)
 
     if key.unit is not None and not (key.choices or key.integer):
+        if kind == "normal":
+            _require_absolute_deviation(words, text, where)
         if kind not in ("list", "value"):
             require_equal_unit_use(words[:2], text, where, key.unit)
         # a list may contain SI numbers beside values with a unit on purpose

@@ -37,7 +37,8 @@ from kc2spice.core.toml_text import format_toml
 from kc2spice.core.units import NUMBER_WITH_UNIT
 from kc2spice.core.untrusted_files import MAX_TEXT_BYTES, decode_text, parse_toml, read_bounded
 from kc2spice.netlist.transforms import with_parameters
-from kc2spice.scene.keys import list_scene_keys
+from kc2spice.parts.bodies._varied_keys import read_number_key
+from kc2spice.scene.keys import KeyDescription, list_scene_keys
 from kc2spice.scene.load import UNKNOWN_KEY
 from kc2spice.scene.overrides import expand_overrides
 from kc2spice.scene.scene_classes import Scene, compute_scene_hash
@@ -242,7 +243,8 @@ def _make_sweep(
         _propose_accepted_range(ranges, load_first_values),
         _name_range_in_errors(ranges, at_first_value=True),
     ):
-        keys = list_scene_keys(load_first_values({}))
+        first = load_first_values({})
+        keys = list_scene_keys(first) | _describe_material_constants(first, ranges)
     parsed = {name: parse_range(name, value, keys) for name, value in ranges.items()}
     plan = make_plan(parsed, zipped=zipped, latin=latin, seed=seed)
     units = {key: find_swept_key(key, keys).unit or "" for key in plan.keys}
@@ -252,6 +254,24 @@ def _make_sweep(
         _name_range_in_errors(ranges),
     ):
         return make_sweep_of_points(job, plan, units, tuple(dict.fromkeys(metrics)))
+
+
+def _describe_material_constants(scene: Scene, names: Iterable[str]) -> dict[str, KeyDescription]:
+    """Describe the swept constants of materials that are tables in the scene.
+
+    ``names`` are the names of all swept keys. The result is keyed by names without indices.
+    """
+    result = {}
+    for name in names:
+        if re.search(r"\.materials?\.", name):
+            owners = [p for p in scene.parts.values() if name.startswith(f"{p.key_prefix}.")]
+            with suppress(UsageError):  # the name is not a number of a material
+                for part in owners:
+                    key = name.removeprefix(f"{part.key_prefix}.")
+                    unit = read_number_key(part, key, name)[1]
+                    plain = re.sub(r"\[-?\d+\]", "", name)
+                    result[plain] = KeyDescription(plain, unit, None, (), "")
+    return result
 
 
 @contextmanager
