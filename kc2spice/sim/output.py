@@ -279,9 +279,15 @@ class _Plot(NamedTuple):
     def get_first_points(self, points: int) -> dict[str, np.ndarray]:
         """Return the first points of all vectors, keyed by vector name.
 
-        ``points`` is the number of returned points. The independent variable is real.
+        ``points`` is the number of points that are read. The independent variable is real. With
+        tiny time steps, ngspice can write several points at one time; the last of these points is
+        returned.
         """
         rows = self.table[:points]
+        if self.names[0] == "time" and len(rows):
+            apart = np.diff(rows[:, 0].real, append=np.inf) > 0
+            if not apart.all():
+                rows = rows[apart]
         columns = map(np.array, (rows[:, 0].real, *rows[:, 1:].T))
         return dict(zip(self.names, columns, strict=True))
 

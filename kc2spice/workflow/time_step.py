@@ -73,6 +73,12 @@ MIN_SIZE = {"A": 1e-11, "V": 1e-6, "N": 1e-11, "m": 1e-12, "m/s": 1e-9}
 # time around jumps that is left out of comparisons, relative to the duration of the run
 EVENT_MARGIN = 1e-9
 FAILURE_LIMIT = 1e-2
+# Change of a voltage in one step above which the time of its edge is uncertain by half the step.
+# The change is relative to the range of the voltage.
+EDGE_SHARE = 0.2
+# largest share of the area of a voltage that may be uncertain due to unresolved edges
+EDGE_LIMIT = 1e-2
+MIN_EDGE_VALUE = 1e-3  # smallest uncertain share of the area that is reported
 MAX_UNKNOWNS = 600  # the exact solution of circuits with more unknowns would take minutes
 
 
@@ -490,11 +496,13 @@ def list_step_checks(
     comparison with the exact solution is left out if a contact determines the steps, because such
     steps do not resolve all vibrations. In any other circuit, the outputs of each linear body are
     compared with its exact response to the recorded loads. If a contact determines the steps, a
-    violated check of a body prints a warning and does not fail the run.
+    violated check of a body prints a warning and does not fail the run. A voltage at a part with
+    unknown equations, such as a user's netlist, is checked for edges between two time points.
     """
     scene = build.scene
     if scene.analysis.type != "transient" or "time" not in waves:
         return
+    yield from _list_edge_checks(build, waves)
     decided = any(map(attrgetter("overrides_others"), scene.numerics))
     known = not decided and not build.unchecked_parts
     worst, exact = _compare_with_exact_solutions(build, waves) if known else ((0.0, 0.0, ""), set())
@@ -513,6 +521,60 @@ def list_step_checks(
             name = f"time steps of {part} compared with its exact response"
             check = _make_step_check(name, f"time-step error of {part}", max(differences), build)
             yield replace(check, action="warn") if decided else check
+
+
+def _list_edge_checks(build: BuiltScene, waves: Waveforms) -> Iterator[Check]:
+    """Yield a check of the voltage at a part without equations whose edges are least resolved."""
+    parts = find_linearised_scene(build).parts_without_network
+    nodes = {f"v({net})" for (part, _), net in build.scene.nets.items() if part in parts}
+    found = []
+    for name, result in build.results.vectors.items():
+        voltage = name in waves and result.unit == "V" and result.voltage is not None
+        if voltage and not nodes.isdisjoint(node for _, node in result.terms):
+            edges = measure_unresolved_edges(waves["time"], waves[name])
+            if edges is not None and edges.share > MIN_EDGE_VALUE:
+                found.append((edges, name))
+    if found:
+        edges, name = max(found)
+        step = f"{edges.step * min(1.0, EDGE_LIMIT / edges.share):.1e}"
+        yield Check(
+            f"edges of {name}",
+            edges.share,
+            EDGE_LIMIT,
+            "of the area of its range",
+            "edges lie between two time points, so their times are uncertain: set "
+            f"solver.max_step to {format_quantity(float(step), 's')}, and lower it further if this "
+            "warning remains",
+            "warn",
+            label=f"unresolved edges of {name}",
+        )
+
+
+class UnresolvedEdges(NamedTuple):
+    """Uncertain share of a voltage's area, and the mean time step [s] at its edges."""
+
+    share: float
+    step: float
+
+
+def measure_unresolved_edges(time: np.ndarray, volts: np.ndarray) -> UnresolvedEdges | None:
+    """Measure the uncertainty of a voltage's area that is due to unresolved edges.
+
+    A step with an edge changes the voltage by more than :data:`EDGE_SHARE` of its range. The time
+    of the edge is uncertain by half the step. The range includes 0 V. Return None if no step
+    contains an edge.
+
+    >>> measure_unresolved_edges(np.array([0.0, 1.0, 2.0, 4.0]), np.array([0.0, 0.0, 5.0, 5.0]))
+    UnresolvedEdges(share=0.125, step=1.0)
+    """
+    span = max(0.0, float(volts.max())) - min(0.0, float(volts.min()))
+    duration = float(time[-1] - time[0])
+    jumps, steps = np.abs(np.diff(volts)), np.diff(time)
+    edge = jumps > EDGE_SHARE * span
+    if span < MIN_SIZE["V"] or duration <= 0 or not edge.any():
+        return None
+    area = float((jumps[edge] * steps[edge]).sum())
+    return UnresolvedEdges(area / 2 / (span * duration), area / float(jumps[edge].sum()))
 
 
 def _compare_with_exact_solutions(

@@ -44,6 +44,15 @@ def test_a_relay_operates_and_releases_at_the_times_of_closed_forms():
     assert opens - 0.041 == pytest.approx(released, rel=3e-3)
 
 
+def test_a_relay_operates_with_reversed_polarity():
+    """An unpolarised armature is attracted by either sign of the current."""
+    pulse = {"pulse": PULSE["pulse"] | {"high": -5.0}}
+    keys = {"inductance": 0.2, "operate_time": 6e-3}
+    mine, usual = (kc.run(scene(drive, 0.06, **keys)) for drive in (pulse, PULSE))
+    np.testing.assert_allclose(switched(mine.waves), switched(usual.waves), rtol=1e-3)
+    assert mine.metrics["operate_time_s"] == pytest.approx(6e-3, rel=2e-3)
+
+
 def test_the_current_of_the_coil_is_that_of_an_inductor():
     waves = kc.run(scene(PULSE, 0.02, inductance=0.2)).waves
     time, current = waves["time"], waves["relay.i"]

@@ -49,6 +49,15 @@ def test_incomplete_files_are_refused(content, tmp_path):
         read_raw(path)
 
 
+def test_equal_time_points_are_read_once(tmp_path):
+    """A derivative by time would otherwise divide by zero."""
+    path = tmp_path / "a.raw"
+    path.write_bytes(raw_text(4) + struct.pack("<8d", 0.0, 1.0, 0.5, 2.0, 0.5, 3.0, 1.0, 4.0))
+    vectors = read_raw(path)
+    assert vectors["time"].tolist() == [0.0, 0.5, 1.0]
+    assert vectors["v(a)"].tolist() == [1.0, 3.0, 4.0]
+
+
 # ------------------------------------------------------------------------------------- engine
 
 

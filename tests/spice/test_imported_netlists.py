@@ -656,3 +656,46 @@ def test_a_laplace_transform_of_pspice_is_refused():
     text = "E1 a 0 LAPLACE {V(b)} = {1/(1+s)}\n"
     with pytest.raises(UsageError, match="Laplace transform"):
         translate_circuit(read_cards(text, "own.lib"), "pspice")
+
+
+# --- edges between two time points --------------------------------------------------------------
+
+COMPARATOR = """.subckt own in out ref
+Vtri tri ref PULSE(-1 1 0 9.9u 9.9u 0.2u 20u)
+Bcmp p ref V={5*(1+tanh(200*(V(in,ref)-V(tri,ref))))}
+Rout p out 0.1
+.ends
+"""
+MODULATED = """pins = {{ in = "signal.out" }}
+[load]
+part = "resistor"
+resistance = "100 Ohm"
+pins = {{ a = "own.out", b = "gnd" }}
+[signal]
+part = "source"
+dc = "0.5 V"
+[analysis]
+type = "transient"
+stop = "2 ms"
+[solver]
+max_step = "{step}"
+"""
+
+
+def test_edges_between_two_time_points_cause_a_warning(tmp_path):
+    """The duty cycle of an input of 0.5 V is the share of the period with a triangle below it."""
+    duty = (0.75 * 2 * 9.9) / 20
+    results = {}
+    for step in ("5 us", "50 ns"):
+        result = run(tmp_path, COMPARATOR, MODULATED.format(step=step), "ngspice")
+        time, volts = result.waves["time"], result.waves["load.v"]
+        mean = np.trapezoid(volts, time) / time[-1]
+        (check,) = (c for c in result.checks if c.name.startswith("edges of "))
+        results[step] = check, abs(mean - 10 * duty * 100 / 100.1) / 10
+    coarse, error = results["5 us"]
+    assert (coarse.passed, coarse.action) == (False, "warn")
+    assert error <= coarse.value
+    assert "set solver.max_step to " in coarse.advice
+    fine, error = results["50 ns"]
+    assert fine.passed
+    assert error <= fine.value

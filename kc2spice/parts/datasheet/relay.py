@@ -176,7 +176,8 @@ def declare_relay(params: tuple[Param, ...], changeover: bool) -> Declaration:
     The position of the armature is 0 at rest, and at most 1. While the voltage across the coil
     resistance exceeds the pick-up voltage, the armature moves towards position 1, where it is fully
     pulled in. An armature beyond the middle of its travel moves towards position 1 as long as the
-    voltage exceeds the release voltage. The contacts switch when the armature is in the middle.
+    voltage exceeds the release voltage. The contacts switch when the armature is in the middle. The
+    relay is not polarised: it operates with either sign of the voltage.
     """
     closed, opened = "1/contact_resistance", "1/insulation_resistance"
     step = f"({closed} - {opened})*above(armature - 0.5)"
@@ -185,8 +186,10 @@ def declare_relay(params: tuple[Param, ...], changeover: bool) -> Declaration:
     if changeover:
         branches.append(voltage("v_nc", "nc", "com", "i_nc"))
         content += f" + 0.5*v_nc^2*({closed} - {step})"
-    operated = "above(resistance*i - pick_up)"
-    kept = "above(resistance*i - release)*above(armature - 0.5)"
+    # the two terms are for the two signs of the current; at most one of them is 1
+    operated = "(above(resistance*i - pick_up) + above(-resistance*i - pick_up))"
+    held = "(above(resistance*i - release) + above(-resistance*i - release))"
+    kept = f"{held}*above(armature - 0.5)"
     return Declaration(
         "relay",
         "relay from its data sheet",
@@ -315,6 +318,7 @@ pins = { a = "relay.com", b = "gnd" }
         if "time" not in waves or any(column is None for column in columns):
             return {}
         volts, amperes, armature = map(np.asarray, columns)
+        volts = np.abs(volts)  # the relay operates with either sign
         result = {"coil_current_a": Metric(float(np.abs(amperes).max()), "A")}
         time, travel = waves["time"], armature - CONTACT_POSITION
         times = {"operate_time_s": measure_delay(time, volts - keys.pick_up, travel)}
