@@ -248,7 +248,7 @@ class LinearModel(AdvisesOnAttributes):
                 where=self.name,
                 got=got,
                 expected="M, K and B; or E, K and B; or A and B; other matrices are optional",
-                hint="add M=MASS_MATRIX, or write A=MATRIX for first-order equations",
+                hint=self._advise_missing_matrices(),
             )
         for letter in "MEKA":
             put(self, letter, _convert_matrix(getattr(self, letter), letter, self.name))
@@ -291,6 +291,20 @@ class LinearModel(AdvisesOnAttributes):
                 )
         put(self, "ports", _complete_ports(tuple(self.ports), m, p, self.name))
         _reject_mixed_thermal_ports(self)
+
+    def _advise_missing_matrices(self) -> str:
+        """Return a hint that adds or leaves out matrices until the model is complete."""
+        second = self.M is not None or self.K is not None
+        if self.A is not None and second:
+            extra = [k for k in "MK" if getattr(self, k) is not None]
+            other = "leave out A, or " if len(extra) > 1 else ""
+            return f"{other}leave out {' and '.join(extra)}"
+        names = {"M": "MASS_MATRIX", "K": "STIFFNESS_MATRIX", "B": "INPUT_MATRIX"}
+        wanted = "B" if self.A is not None or (self.E is not None and self.K is not None) else "MKB"
+        missing = [f"{k}={names[k]}" for k in wanted if getattr(self, k) is None]
+        hint = "add " + " and ".join(missing)
+        alone = self.M is None and self.A is None and len(wanted) > 1
+        return f"{hint}, or write A=MATRIX for first-order equations" if alone else hint
 
     def _find_most_common_size(self, B: np.ndarray) -> int:
         """Return the number of rows that most of the matrices M, E, K, A and B have.

@@ -253,7 +253,10 @@ def _check_frequencies(scene: Scene) -> Iterator[UsageError]:
             expected=f"a stop above the start, {format_quantity(start, 'Hz')}"
             if stop <= start
             else f"stop - start of more than {SMALLEST_STEP_RATIO * selected.points:g} times stop",
-            hint=f'for example  stop = "{format_quantity(10 * start, "Hz")}"',
+            hint=f'exchange the two values: start = "{format_quantity(stop, "Hz", 12)}"  and  '
+            f'stop = "{format_quantity(start, "Hz", 12)}"'
+            if 0 < stop < start
+            else f'for example  stop = "{format_quantity(10 * start, "Hz")}"',
         )
     stated = selected.model_fields_set
     if selected.type == "ac" and start == 0 and "start" in stated and "scale" not in stated:

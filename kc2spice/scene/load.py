@@ -325,16 +325,20 @@ def _require_known_parts(
             f"this scene has no part {name!r}",
             where=source.locate_key(name),
             expected=f"a key of one of its parts: {list_candidates(name, parts)}",
-            hint=did_you_mean(name, parts) or _suggest_part(table, tables, parts),
+            hint=did_you_mean(name, parts) or _suggest_part(name, table, tables, parts),
         )
 
 
-def _suggest_part(keys: Mapping[str, Any], tables: Mapping[str, Any], parts: Sequence[str]) -> str:
-    """Suggest a part that has the first of the given ``keys``."""
+def _suggest_part(
+    name: str, keys: Mapping[str, Any], tables: Mapping[str, Any], parts: Sequence[str]
+) -> str:
+    """Suggest a part that has the key ``name`` or the first of the given ``keys``."""
     word = next(iter(keys), "")
-    owners = (part for part in parts if f"{part}.{word}" in _list_part_keys(part, tables[part]))
-    owner = next(owners, None)
-    return "use the name of one of these parts" if owner is None else f"write {owner}.{word}"
+    for path in (f"{name}.{word}", word):
+        for part in parts:
+            if f"{part}.{path}" in _list_part_keys(part, tables[part]):
+                return f"write {part}.{path}"
+    return "use the name of one of these parts"
 
 
 def _copy_tables(value: Any) -> Any:
