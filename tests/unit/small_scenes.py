@@ -31,6 +31,8 @@ material = "PZT-5A"
 diameter = "14 mm"
 thickness = "0.2 mm"
 """
+# netlist file of a user: a divider of two resistors
+AMPLIFIER = "* amp\n.subckt amp in out ref\nR1 in out 1k\nR2 out ref 1k\n.ends\n"
 SPEAKER = {
     "amp": {"part": "source", "ac": "2 V"},
     "woofer": {

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from messages import fails, rows_of_error
 from skfem.mesh import MeshHex
-from small_scenes import DISC, RESISTOR, SPEAKER
+from small_scenes import AMPLIFIER, DISC, RESISTOR, SPEAKER
 from support import (
     Solid,
     StageTimer,
@@ -26,7 +26,6 @@ from support import (
 
 import kc2spice as kc
 
-AMPLIFIER = "* amp\n.subckt amp in out ref\nR1 in out 1k\nR2 out ref 1k\n.ends\n"
 SCENE = """[drive]
 part = "source"
 ac = "1 V"

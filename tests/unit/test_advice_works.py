@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from messages import fails, rows, rows_of_error
-from small_scenes import DIVIDER
+from small_scenes import AMPLIFIER, DIVIDER
 from support import (
     Check,
     LinearModel,
@@ -43,6 +43,21 @@ stop = "1 kHz"
 RELAY = {"part": "relay", "resistance": "70 Ohm", "voltage": "5 V", "operate_time": "10 ms",
          "pins": {"plus": "d.out", "no": "d.out", "com": "gnd"}}  # fmt: skip
 DRIVE = {"part": "source", "dc": "5 V"}
+AMPLIFIED = """[drive]
+part = "source"
+dc = "1 V"
+pins = { out = "amp.in" }
+[amp]
+part = "netlist"
+file = "amp.lib"
+subckt = "amp"
+pins = { out = "load.a" }
+[load]
+part = "resistor"
+resistance = "1 kOhm"
+[analysis]
+type = "op"
+"""
 CHAIN = {
     "M": np.eye(3),
     "K": 2 * np.eye(3) - np.eye(3, k=1) - np.eye(3, k=-1),
@@ -255,13 +270,8 @@ def test_matrices_in_lower_case_and_matrices_that_are_missing(cli):
     ],
 )  # fmt: skip
 def test_a_mistake_in_a_netlist(cli, change, head, advice):
-    amplifier = "* amp\n.subckt amp in out ref\nR1 in out 1k\nR2 out ref 1k\n.ends\n"
-    Path("amp.lib").write_text(amplifier.replace(*change))
-    Path("own.toml").write_text(
-        '[drive]\npart = "source"\ndc = "1 V"\npins = { out = "amp.in" }\n'
-        '[amp]\npart = "netlist"\nfile = "amp.lib"\nsubckt = "amp"\npins = { out = "load.a" }\n'
-        '[load]\npart = "resistor"\nresistance = "1 kOhm"\n[analysis]\ntype = "op"\n'
-    )
+    Path("amp.lib").write_text(AMPLIFIER.replace(*change))
+    Path("own.toml").write_text(AMPLIFIED)
     found = rows(cli("run", "own.toml").stderr)
     assert head in found["head"]
     assert advice in found["next"]
@@ -270,13 +280,9 @@ def test_a_mistake_in_a_netlist(cli, change, head, advice):
 @pytest.mark.parametrize("card", ["D1 out ref MAKER", "Q1 out in ref MAKER"])
 def test_a_missing_model_of_a_manufacturer(cli, card):
     """A default model would run with another characteristic, so the advice contains none."""
-    amplifier = f"* amp\n.subckt amp in out ref\nR1 in out 1k\nR2 out ref 1k\n{card}\n.ends\n"
+    amplifier = AMPLIFIER.replace(".ends", f"{card}\n.ends")
     Path("amp.lib").write_text(amplifier)
-    Path("own.toml").write_text(
-        '[drive]\npart = "source"\ndc = "1 V"\npins = { out = "amp.in" }\n'
-        '[amp]\npart = "netlist"\nfile = "amp.lib"\nsubckt = "amp"\npins = { out = "load.a" }\n'
-        '[load]\npart = "resistor"\nresistance = "1 kOhm"\n[analysis]\ntype = "op"\n'
-    )
+    Path("own.toml").write_text(AMPLIFIED)
     assert rows(cli("run", "own.toml").stderr)["next"] == (
         "copy the  .model MAKER  line of the manufacturer into this file, or include the file "
         "that contains this line"
@@ -720,6 +726,15 @@ def test_the_advised_rings_and_speed_let_a_fast_impact_run(recwarn, speed, shape
         assert error.got == "a speed of 1000 m/s, set by impact.velocity"
     run = kc.run("impact", overrides={**typed, **advised})
     assert run.metrics["rebound_velocity_m_s"] > 0
+
+
+def test_a_ring_larger_than_half_of_the_sphere_has_too_large_a_spacing(recwarn):
+    """No number of rings of this spacing fits, so the advice is neither rings nor a speed."""
+    typed = {"impact.velocity": "-15 m/s", "sphere.radius": "0.5 mm", "solver.stop": "60 us",
+             "contact.penalty": "1e4 N/m", "kick.mesh.rings": 1}  # fmt: skip
+    with pytest.raises(kc.errors.SimulationError) as caught:
+        kc.run("impact", overrides={**typed, "kick.mesh.ring_spacing": "0.3 mm"})
+    assert caught.value.hint.endswith("lower kick.mesh.ring_spacing")
 
 
 @pytest.mark.parametrize(

@@ -57,7 +57,6 @@ class ContactSurface:
     ``compliance`` is its compliance, and ``pace`` [s] is its damping time. If the surface is
     rigid, ``elastic`` is the name of the part that models the elasticity; this part has the port
     ``patch``. ``modulus`` [Pa] is the indentation modulus if the surface is a half-space.
-    ``half_width`` [m] is the distance from the axis to the nearest edge of the surface.
     """
 
     part: str
@@ -71,7 +70,6 @@ class ContactSurface:
     pace: float = 0.0
     elastic: str = ""
     modulus: float | None = None
-    half_width: float = math.inf
 
     @property
     def is_rigid(self) -> bool:

@@ -614,8 +614,9 @@ def _advise_rings_or_speed(
     The rings extend to ``radius`` [m], and cover indentations of up to ``covered_depth`` [m]. This
     depth is proportional to the square of ``radius``. ``depth`` [m] is the largest indentation that
     the rings must cover. ``ratio`` is the radius of the rings divided by the contact radius. If the
-    rings cannot cover the indentation, the advice is a lower speed. In Hertz's law, the indentation
-    is proportional to ``v^(4/5)`` at the speed v. With the advised number of rings or speed, a run
+    rings cannot cover the indentation, the advice is a lower speed. If even one ring would be too
+    large, the advice is a smaller distance between the rings. In Hertz's law, the indentation is
+    proportional to ``v^(4/5)`` at the speed v. With the advised number of rings or speed, a run
     passes the check.
     """
     a, largest, ball = pair.lower_surface, pair.largest_indentation, pair.upper_surface.radius
@@ -624,14 +625,17 @@ def _advise_rings_or_speed(
     if ball is None or not isinstance(body, StackKeys):
         return replace(check, advice=lower_load)
     spacing = body.mesh.ring_spacing
-    largest_radius = min(a.half_width, ratio * MAX_CONTACT_SHARE * ball) * (1 - EDGE_TOLERANCE)
+    edge = min(body.half_widths)  # distance from the axis to the nearest edge of the surface
+    largest_radius = min(edge, ratio * MAX_CONTACT_SHARE * ball) * (1 - EDGE_TOLERANCE)
     required_radius = radius * max(math.sqrt(depth / covered_depth), RING_GROWTH)
-    rings, most_rings = math.ceil(required_radius / spacing), int(largest_radius / spacing)
-    if rings <= min(most_rings, MAX_RINGS):
+    rings = math.ceil(required_radius / spacing)
+    most_rings = min(int(largest_radius / spacing), MAX_RINGS)
+    if rings <= most_rings:
         return replace(check, advice=f"{problem}: set {key} = {rings}")
     if not largest.speed_key:
         return replace(check, advice=lower_load)
-    most_rings = min(most_rings, MAX_RINGS)
+    if not most_rings:
+        return replace(check, advice=f"{problem}: lower {a.part}.mesh.ring_spacing")
     speed = largest.speed * (covered_depth / depth * (most_rings * spacing / radius) ** 2) ** 1.25
     digit = 10.0 ** (math.floor(math.log10(speed)) - 1)  # the proposed speed has two digits
     speed = digit * math.floor(speed / digit)
@@ -655,10 +659,8 @@ def _check_depth(pair: ContactPair, waves: Waveforms, place: np.ndarray) -> Iter
     if pair.keys.shape != "pressure" or height is None:
         return
     deepest, checks = float((height - place - pair.keys.gap).max()), pair.scene.checks
-    covered, problem = (
-        pair.contact_force.depth,
-        "the contact law is not valid at this indentation depth",
-    )
+    covered = pair.contact_force.depth
+    problem = "the contact law is not valid at this indentation depth"
     advice = f"{problem}: raise {pair.lower_surface.part}.mesh.rings"
     check = Check("depth of the contact", deepest, covered, "m", advice, checks.range)
     if not check.passed:
