@@ -24,6 +24,7 @@ from kc2spice.cli.terminal_output import (
     PIPED_COLUMNS,
     OutputRecipient,
     print_files,
+    print_notes,
     print_table,
     print_tables,
     report_errors,
@@ -264,10 +265,9 @@ def _export(
         choices: dict[str, Any] = {"trust": trust, "count": count, "solver": solver}
         with caller.open_progress_display() as progress:
             files = export_scene(loaded, out, dialect, progress, **choices)
-    if caller.print_json_if_requested(
-        {**head, "files": [path.name for path in files]}, files[0].parent
-    ):
-        print_files(files[0].parent, [path.name for path in files])
+    names, folder = [path.name for path in files], files[0].parent
+    if caller.print_json_if_requested({**head, "files": names}, folder):
+        print_files(folder, names)
 
 
 @_register_command
@@ -546,7 +546,6 @@ def _fit(
         out = out or Path(f"{part}_fit")
         result = fit_study(scene, part, data, vary or (), out, progress, shunt=shunt)
     if caller.print_json_if_requested(result):
-        from kc2spice.cli.reduction_output import print_notes
         from kc2spice.report.fit_page import format_fit
 
         print_tables(format_fit(result))

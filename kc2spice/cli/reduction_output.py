@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from kc2spice.cli.terminal_output import print_table
+from kc2spice.cli.terminal_output import print_notes, print_table
 from kc2spice.core.error_norms import NORM_WORDS
 from kc2spice.report.run_page import Rows, format_above_band, format_band
 
@@ -35,13 +35,6 @@ def print_reduction(result: Mapping[str, Any]) -> None:
     ]
     print_table("Reduced model", rows)
     print_notes(result)
-
-
-def print_notes(result: Mapping[str, Any]) -> None:
-    """Print each note and each warning of a result on a line of its own."""
-    for kind in ("notes", "warnings"):
-        for text in result.get(kind, ()):
-            print(f"{kind[:-1]}: {text}")
 
 
 def print_comparison(result: Mapping[str, Any]) -> None:

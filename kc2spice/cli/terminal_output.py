@@ -254,6 +254,13 @@ def print_tables(sections: Iterable[PageSection]) -> None:
             print_table(section.title, rows, section.head)
 
 
+def print_notes(result: Mapping[str, Any]) -> None:
+    """Print each note and each warning of a result on a line of its own."""
+    for kind in ("notes", "warnings"):
+        for text in result.get(kind, ()):
+            print(f"{kind[:-1]}: {text}")
+
+
 def print_files(directory: Path, names: Iterable[str], netlist: str | None = None) -> None:
     """Print the names of the files in ``directory``, grouped by purpose.
 

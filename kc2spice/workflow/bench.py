@@ -60,14 +60,15 @@ from kc2spice.workflow.simulation import Run
 DEFAULT_ERROR_LIMIT = 1e-4
 # Numbers of refinement steps that the search tries for each numerical setting, from coarse to fine.
 REFINEMENT_STEPS = (-2.0, -1.0, -0.5, 0.0, 0.5, 1.0)
-CHECK_STEPS = 1.5  # refinement steps of all settings in the run that checks the reference run
-REFERENCE_STEPS = 2.0  # refinement steps of all settings in the reference run
+# number of steps by which the run that checks the reference run refines each numerical setting
+CHECK_STEPS = 1.5
+REFERENCE_STEPS = 2.0  # number of steps by which the reference run refines each numerical setting
 MAX_POINTS = 80  # largest number of combinations of settings that the search runs
 MAX_METRIC_CHANGE = 1e-2  # largest relative change of a converged metric at the finest settings
 # CPU time, relative to the unchanged scene, above which settings are timed only once.
 SLOW_TIME_RATIO = 5.0
-# Largest ratio of two CPU times that count as equal. Of equally fast settings, the more accurate
-# settings are chosen.
+# Largest permitted ratio of two CPU times that count as equal. Of equally fast settings, the more
+# accurate settings are chosen.
 EQUAL_TIME_RATIO = 1.05
 
 # number of refinement steps of each numerical setting; negative numbers make a setting coarser

@@ -140,6 +140,13 @@ def test_parameters_of_subcircuits_share_a_netlist(sets, netlists):
     assert f"{netlists} netlists, {found.plan.size} ngspice runs" in found.describe()
 
 
+def test_a_proposal_concerns_its_own_key_among_equal_ranges():
+    sets = [f"{key}=1e-3:2e-3:3" for key in ("sphere.radius", "impact.velocity")]
+    with pytest.raises(UsageError, match="does not move towards the contact") as caught:
+        make_sweep(SceneInput("impact", None), sets)
+    assert caught.value.hint == "write --set impact.velocity=-1e-3:-2e-3:3"
+
+
 # --- studies ------------------------------------------------------------------------------------
 
 

@@ -30,7 +30,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from kc2spice.core import __version__
 from kc2spice.core.errors import UsageError, unknown
 from kc2spice.core.files import make_write_error, stage_directory
-from kc2spice.core.key_errors import OUT_OF_RANGE
+from kc2spice.core.key_errors import OUT_OF_RANGE, UNKNOWN_KEY
 from kc2spice.core.optional_libraries import import_optional
 from kc2spice.core.progress import Progress, ignore_progress
 from kc2spice.core.toml_text import format_toml
@@ -39,7 +39,6 @@ from kc2spice.core.untrusted_files import MAX_TEXT_BYTES, decode_text, parse_tom
 from kc2spice.netlist.transforms import with_parameters
 from kc2spice.parts.bodies._varied_keys import read_number_key
 from kc2spice.scene.keys import KeyDescription, list_scene_keys
-from kc2spice.scene.load import UNKNOWN_KEY
 from kc2spice.scene.overrides import expand_overrides
 from kc2spice.scene.scene_classes import Scene, compute_scene_hash
 from kc2spice.workflow.sweep.grid import (
@@ -162,26 +161,38 @@ def make_sweep(
     try:
         return make(sets)
     except ProposedRangeError as error:
-        texts, proposal = list(sets), error.proposal
-        k = next(k for k, text in enumerate(sets) if text.partition("=")[2].strip() == error.text)
-        name = texts[k].partition("=")[0].strip()
-        # the proposed range may have further faults, which are corrected one by one
-        for _ in range(_MAX_CORRECTIONS):
-            texts[k] = f"{name}={proposal}"
-            try:
-                with warnings.catch_warnings(action="ignore"):
-                    make(texts)
-                break
-            except ProposedRangeError as next_error:
-                if next_error.text != proposal:
-                    break  # an error about another range
-                error.hint, proposal = next_error.hint, next_error.proposal
-            except UsageError as next_error:
-                if _concerns_key(next_error, name):
-                    hint = str(next_error.hint)
-                    error.hint = hint if proposal in hint else f"{error.hint}; {hint}"
-                break
+        _correct_proposal(error, sets, make)
         raise
+
+
+def _correct_proposal(
+    error: ProposedRangeError, sets: Sequence[str], make: Callable[[Sequence[str]], Sweep]
+) -> None:
+    """Correct the hint of an error whose proposed range has further faults.
+
+    The further faults are corrected one by one. ``make`` makes the sweep from strings ``KEY=RANGE``
+    such as ``sets``.
+    """
+    ranges = [tuple(part.strip() for part in text.partition("=")) for text in sets]
+    matches = [(k, name) for k, (name, _, value) in enumerate(ranges) if value == error.text]
+    # several keys may have the same range; an error about its spelling does not name a key
+    k, name = next((match for match in matches if _concerns_key(error, match[1])), matches[0])
+    texts, proposal = list(sets), error.proposal
+    for _ in range(_MAX_CORRECTIONS):
+        texts[k] = f"{name}={proposal}"
+        try:
+            with warnings.catch_warnings(action="ignore"):
+                make(texts)
+            return
+        except ProposedRangeError as next_error:
+            if next_error.text != proposal:
+                return  # an error about another range
+            error.hint, proposal = next_error.hint, next_error.proposal
+        except UsageError as next_error:
+            if _concerns_key(next_error, name):
+                hint = str(next_error.hint)
+                error.hint = hint if proposal in hint else f"{error.hint}; {hint}"
+            return
 
 
 def _make_sweep(
@@ -597,8 +608,8 @@ def _complete_points(
 
     Each worker runs one point at a time.
 
-    If a worker process ends, the outcome of all running points is ``LOST_POINT``, and the workers
-    are started again.
+    If a worker process crashes or is killed, the result of all running points is ``LOST_POINT``,
+    and the workers are started again.
     """
     left, pending = iter(points), dict[Future[PointResult], int]()
     with ExitStack() as opened:
