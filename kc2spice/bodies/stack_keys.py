@@ -73,8 +73,8 @@ class StackMeshKeys(Section):
         ge=1,
         le=200,
         description=(
-            "Number of mesh rings from the contact rings to the edge of the stack; their "
-            "spacing increases outwards"
+            "Number of mesh rings between the finely meshed contact area and the edge of the "
+            "stack; the spacing of these rings increases outwards"
         ),
     )
     layers_per_element: Count = Field(

@@ -229,6 +229,15 @@ def join_first(items: Sequence[str], separator: str = ", ") -> str:
     return separator.join((*items[:MAX_CANDIDATES], *more))
 
 
+def join_words(words: Sequence[str]) -> str:
+    """Join words with commas, and with ``and`` before the last word.
+
+    >>> join_words(["a", "b", "c"])
+    'a, b and c'
+    """
+    return " and ".join(filter(None, (", ".join(words[:-1]), words[-1])))
+
+
 def did_you_mean(word: str, choices: Iterable[str]) -> str | None:
     """Return the hint ``did you mean 'x'?`` if a choice is similar to ``word``.
 

@@ -43,6 +43,7 @@ _UNION_MEMBER = re.compile(r"\]$|^(float|int|str|bool)$|^[A-Z]\w*Keys$")
 _AXIS_VECTORS = {"x": "[1, 0, 0]", "y": "[0, 1, 0]", "z": "[0, 0, 1]"}
 # message about a number that exceeds a limit of its key
 OUT_OF_RANGE = "out of range"
+UNKNOWN_KEY = "unknown key"  # message about a key that its table may not contain
 # A limit of a key is extreme if it differs from the usual value by more than this factor.
 USEFUL_RATIO = 1e3
 _LIMIT_SIGNS = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
@@ -225,7 +226,7 @@ def _explain_unknown_key(invalid: _InvalidValue) -> Explanation:
         or _suggest_described_key(word, table)
         or _suggest_key_replacement(word, invalid.missing)
     )
-    return "unknown key", "one of " + list_candidates(word, fields, _get_help_command(schema)), hint
+    return UNKNOWN_KEY, "one of " + list_candidates(word, fields, _get_help_command(schema)), hint
 
 
 def _explain_missing_key(invalid: _InvalidValue) -> Explanation:
@@ -404,11 +405,7 @@ def _suggest_fraction(invalid: _InvalidValue) -> str | None:
 
     The result is None if the key is no fraction, or if the key is usually stated in ppm.
     """
-    field, path, value = (
-        _find_field(invalid.schema, invalid.schema_path),
-        invalid.path,
-        invalid.value,
-    )
+    field, value = _find_field(invalid.schema, invalid.schema_path), invalid.value
     bound = next((invalid.context[kind] for kind in ("lt", "le") if kind in invalid.context), None)
     in_ppm = field is not None and any("e-6" in str(item) for item in field.examples or ())
     if bound is None or bound > 1 or in_ppm or (field is not None and find_unit(field)):
@@ -416,9 +413,7 @@ def _suggest_fraction(invalid: _InvalidValue) -> str | None:
     fraction = convert_percentage(value)
     if fraction is None or fraction >= bound:
         return None
-    text = f"for {value:g} %, write  {_write_assignment(path, f'{fraction:g}')}"
-    names_table = len(path) > 1 and all(isinstance(step, str) for step in path)
-    return f"{text}  in [{join_path(path[:-1])}]" if names_table else text
+    return f"for {value:g} %, write  {_write_assignment_in_table(invalid.path, f'{fraction:g}')}"
 
 
 def _suggest_value(
@@ -435,9 +430,7 @@ def _suggest_value(
         return "remove the minus sign"
     if usual is not None and _is_extreme(bound, usual, lower):
         written = format_toml(f"{usual:g} {unit}" if unit else usual)
-        if len(path) > 1 and all(isinstance(step, str) for step in path):
-            return f"write  {path[-1]} = {written}  in [{join_path(path[:-1])}]"
-        return f"write  {_write_assignment(path, written)}"
+        return f"write  {_write_assignment_in_table(path, written)}"
     key, preposition = join_path(path), {"gt": "above", "lt": "below"}.get(kind, "to")
     return f"{'raise' if lower else 'lower'} {key} {preposition} {bound:g} {unit}".rstrip()
 
@@ -544,6 +537,17 @@ def _write_assignment(path: KeyPath, value: str) -> str:
         return f"{last} = {value}"
     names = [step for step in path if not isinstance(step, int)]
     return f"{value}  as entry {last + 1} of {names[-1]}"
+
+
+def _write_assignment_in_table(path: KeyPath, value: str) -> str:
+    """Return the text that sets a key to a value, with the name of the table if it has a header.
+
+    >>> _write_assignment_in_table(("disc", "rom", "tolerance"), "0.05")
+    'tolerance = 0.05  in [disc.rom]'
+    """
+    text = _write_assignment(path, value)
+    has_header = len(path) > 1 and all(isinstance(step, str) for step in path)
+    return f"{text}  in [{join_path(path[:-1])}]" if has_header else text
 
 
 def _write_entry(schema: type[BaseModel], typed: object) -> str:

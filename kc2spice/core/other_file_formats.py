@@ -25,7 +25,8 @@ ARRAYS = "an archive of arrays"
 MESH = "a mesh"
 SURFACE = "a surface without a volume"
 CAD = "a CAD file"
-# First bytes of binary files, and the name of the format. An archive may be a spreadsheet.
+# First bytes of binary files, each with the name of the file format. Spreadsheets in .xlsx and .ods
+# files are zip archives, so the format of an archive also depends on its content and extension.
 _BINARY_FORMATS = {
     b"%PDF": PDF,
     b"\x89PNG": IMAGE,
@@ -58,27 +59,28 @@ _MESH_PATTERNS = (
     (re.compile(rb"\s*(iso-10303-21;|dbrep_drawableshape)"), CAD),
     (re.compile(rb".{72}s {6}1\b"), CAD),  # IGES
 )
+SURFACE_SUFFIXES = (".stl", ".obj", ".ply", ".off", ".3mf")  # formats that contain surfaces only
 # Formats of meshes and shapes. A part of type body reads some of these formats.
 _MESH_FORMATS_BY_SUFFIX = {
     **dict.fromkeys((".msh", ".inp", ".bdf", ".nas", ".unv", ".vtu", ".med", ".exo", ".e"), MESH),
     **dict.fromkeys((".vtk", ".cdb", ".mesh", ".cgns"), MESH),
-    **dict.fromkeys((".stl", ".obj", ".ply", ".off", ".3mf"), SURFACE),
+    **dict.fromkeys(SURFACE_SUFFIXES, SURFACE),
     **dict.fromkeys((".step", ".stp", ".brep", ".igs", ".iges"), CAD),
 }
 # Formats of meshes and shapes that no part reads.
 _UNREADABLE_MESHES = (".vtk", ".cdb", ".mesh", ".cgns", ".igs", ".iges")
 _HDF5_START = b"\x89HDF"  # first bytes of .med and .exo
-SPREADSHEET_SUFFIXES = (".xlsx", ".xlsm", ".xls", ".ods")
+_SPREADSHEET_SUFFIXES = (".xlsx", ".xlsm", ".xls", ".ods")
 NETLIST_SUFFIXES = (".lib", ".cir", ".net", ".sub", ".mod", ".sp")
 _FORMATS_BY_SUFFIX = {
-    **dict.fromkeys(SPREADSHEET_SUFFIXES, SPREADSHEET),
+    **dict.fromkeys(_SPREADSHEET_SUFFIXES, SPREADSHEET),
     **dict.fromkeys(NETLIST_SUFFIXES, NETLIST),
     ".va": VERILOG,
     **_MESH_FORMATS_BY_SUFFIX,
 }
 _SPREADSHEET_MARKS = (b"[Content_Types].xml", b"opendocument.spreadsheet")  # names in the archive
 HEAD_BYTES = 2000  # number of bytes at the beginning of a file that determine its format
-# Readers with their own error message, and the content that the readers expect.
+# Kinds of files that kc2spice reads. Errors about other files depend on the expected kind.
 Reader = Literal["scene", "measurement", "matrices"]
 
 
@@ -94,7 +96,7 @@ def identify_binary_format(head: bytes, suffix: str) -> str | None:
     if head.startswith(_HDF5_START):
         return _MESH_FORMATS_BY_SUFFIX.get(suffix.lower())
     marked = any(mark in head[:HEAD_BYTES] for mark in _SPREADSHEET_MARKS)
-    if name == PACKED and (marked or suffix.lower() in SPREADSHEET_SUFFIXES):
+    if name == PACKED and (marked or suffix.lower() in _SPREADSHEET_SUFFIXES):
         return SPREADSHEET
     return ARRAYS if name == PACKED and suffix.lower() == ".npz" else name
 

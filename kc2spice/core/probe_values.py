@@ -121,7 +121,7 @@ def _clip_to_window(
             "the window of this probe ends where it begins",
             where=f"{where}.from",
             got=f"{low:g} to {high:g}",
-            expected="an end of the window above its beginning",
+            expected="an end of the window that is larger than its beginning",
             hint=f"write for example  from = {(scale[0] + scale[-1]) / 2:g}",
         )
     inside = (scale > low) & (scale < high)

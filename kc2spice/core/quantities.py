@@ -10,7 +10,7 @@ conversion to a float. For example, ``"50 um"`` equals ``50e-6`` exactly.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from numbers import Real
@@ -131,16 +131,23 @@ SCALE_UNITS = (
 )
 
 
-def _parse_independent_value(value: object) -> ValueWithUnit:
-    """Parse a value of an analysis's independent variable, such as a time."""
+def _parse_in_first_fitting_unit(value: object, units: Iterable[str]) -> ValueWithUnit | None:
+    """Parse a quantity in the first of several SI units that fits; None if no unit fits."""
     if isinstance(value, ValueWithUnit):
         return value
-    for unit in SCALE_UNITS:
+    for unit in units:
         try:
             result = ValueWithUnit(convert_quantity(value, unit))
         except UsageError:
             continue
         result.unit = unit if isinstance(value, str) else ""
+        return result
+    return None
+
+
+def _parse_independent_value(value: object) -> ValueWithUnit:
+    """Parse a value of an analysis's independent variable, such as a time."""
+    if (result := _parse_in_first_fitting_unit(value, SCALE_UNITS)) is not None:
         return result
     hint = 'write a number with its unit, such as  "46 Hz"  or  "2 ms"'
     if isinstance(value, str):
@@ -157,14 +164,7 @@ RESULT_UNITS = ("", *dict.fromkeys((*SCALE_UNITS, "m/s", "W", "J", "T", "Wb")))
 
 def _parse_result_value(value: object) -> ValueWithUnit:
     """Parse a value of a result, such as a displacement of -1 um."""
-    if isinstance(value, ValueWithUnit):
-        return value
-    for unit in RESULT_UNITS:
-        try:
-            result = ValueWithUnit(convert_quantity(value, unit))
-        except UsageError:
-            continue
-        result.unit = unit
+    if (result := _parse_in_first_fitting_unit(value, RESULT_UNITS)) is not None:
         return result
     raise make_invalid_value_error(
         "this value is not a quantity with a known unit",

@@ -127,21 +127,14 @@ def make_toml_error(
     if error_by_pattern is not None:
         return error_by_pattern
     reached = _find_error_position(text, str(error))
-    proposals = (
-        _repair_quotes(lines, number, find_unit)
-        if propose is _repair_quotes
-        else propose(lines, number)
-        for propose in _REPAIR_FUNCTIONS
-    )
-    for repairs in (_repair_header(lines, number, lists), *proposals):
-        for repair in repairs:
-            if _measure_parser_position(lines, repair) > reached:
-                return UsageError(
-                    repair.problem,
-                    where=f"{label}, line {repair.number}",
-                    got=_quote_line(lines, repair.number),
-                    hint=repair.action,
-                )
+    for repair in _propose_repairs(lines, number, lists, find_unit):
+        if _measure_parser_position(lines, repair) > reached:
+            return UsageError(
+                repair.problem,
+                where=f"{label}, line {repair.number}",
+                got=_quote_line(lines, repair.number),
+                hint=repair.action,
+            )
     return UsageError(
         "this text is not valid TOML",
         where=f"{label}, line {number}",
@@ -169,6 +162,7 @@ _OTHER_FORMATS = {
 def _make_other_format_error(text: str, label: str) -> UsageError | None:
     """Make the error for a file in a known non-TOML format; None for any other file."""
     name, action = _OTHER_FORMATS.get(Path(label).suffix.lower(), ("", ""))
+    action = action.replace("FILE", label)
     if not name and not label.endswith(".toml") and _NETLIST_CARD.search(text):
         name, action = NETLIST, advise_netlist_part(label)
         if re.search(r"(?im)^\.subckt\b", text) is None:
@@ -184,7 +178,7 @@ def _make_other_format_error(text: str, label: str) -> UsageError | None:
             return make_other_format_error(Path(label), other, "scene", EXPECTED_SCENE_FILE)
     if not name and _is_table_of_numbers(text):
         name = "a table of numbers"
-        action = "kc2spice reduce FILE  reads a table of measured values"
+        action = f"kc2spice reduce {label}  reads a table of measured values"
     if not name:
         return None
     if name == "JSON" and Path(label).name == RESULT_FILE and (scene := _find_result_scene(text)):
@@ -198,7 +192,7 @@ def _make_other_format_error(text: str, label: str) -> UsageError | None:
         f"this file is {name}, not a scene",
         where=label,
         expected=EXPECTED_SCENE_FILE,
-        hint=action.replace("FILE", label),
+        hint=action,
     )
 
 
@@ -303,7 +297,7 @@ def _suggest_line(line: str) -> str:
 
 
 def _repair_quotes(
-    lines: Sequence[str], number: int, find_unit: UnitFinder | None = None
+    lines: Sequence[str], number: int, find_unit: UnitFinder | None
 ) -> Iterator[_Repair]:
     """Yield repairs of values that are not valid TOML, such as strings without quotes."""
     line = lines[number - 1]
@@ -311,7 +305,8 @@ def _repair_quotes(
     repaired = line
     for match in reversed(bare):
         start, end = match.span(1)
-        guess, value = _guess_value(line[start:end]), line[start:end]
+        value = line[start:end]
+        guess = _guess_value(value)
         key = re.search(r"([\w-]+)\s*=\s*$", line[:start])
         unit = find_unit(lines, number, key[1]) if find_unit and key else None
         spelling = re.search('"[^"]+"', (unit and suggest_spelling(value, unit)) or "")
@@ -484,19 +479,22 @@ def _repair_decimal_comma(lines: Sequence[str], number: int) -> Iterator[_Repair
         yield _Repair("a comma in a number", number, repaired, _suggest_line(repaired))
 
 
-_REPAIR_FUNCTIONS: tuple[Callable[[Sequence[str], int], Iterator[_Repair]], ...] = (
-    _repair_decimal_comma,
-    _repair_typographic_quotes,
-    _repair_assignment,
-    _repair_inner_colon,
-    _repair_round_brackets,
-    _repair_separator,
-    _repair_comment,
-    _repair_quotes,
-    _repair_unmatched_quote,
-    _repair_brackets,
-    _repair_backslash,
-)
+def _propose_repairs(
+    lines: Sequence[str], number: int, lists: Collection[str], find_unit: UnitFinder | None
+) -> Iterator[_Repair]:
+    """Yield all possible repairs of a line, beginning with the most specific mistakes."""
+    yield from _repair_header(lines, number, lists)
+    yield from _repair_decimal_comma(lines, number)
+    yield from _repair_typographic_quotes(lines, number)
+    yield from _repair_assignment(lines, number)
+    yield from _repair_inner_colon(lines, number)
+    yield from _repair_round_brackets(lines, number)
+    yield from _repair_separator(lines, number)
+    yield from _repair_comment(lines, number)
+    yield from _repair_quotes(lines, number, find_unit)
+    yield from _repair_unmatched_quote(lines, number)
+    yield from _repair_brackets(lines, number)
+    yield from _repair_backslash(lines, number)
 
 
 _ASSIGNMENT_START = re.compile(r"\s*([\w.-]+)\s*=\s*(\{?)\s*(#.*)?$")

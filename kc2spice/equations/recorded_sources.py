@@ -13,7 +13,7 @@ import numpy as np
 
 from kc2spice.core.constitutive_laws import IdealSource
 from kc2spice.core.domains import TABLE
-from kc2spice.core.waveforms import RecordedWave, Waveforms
+from kc2spice.core.waveforms import Function, RecordedWave, Waveforms
 from kc2spice.equations.networks import NODE_UNITS, Network, prescribes_value
 from kc2spice.equations.scene_laws import SceneLaws
 from kc2spice.scene.scene_classes import BuiltScene
@@ -111,8 +111,12 @@ def _make_recorded_source(net: str, kind: str, waves: Waveforms) -> IdealSource:
     for k in range(1, times.size):
         if times[k] - times[sample_indices[-1]] >= shortest:
             sample_indices.append(k)
-    return IdealSource(
-        f"net {net}",
-        SOURCE_KINDS[kind],
-        RecordedWave(times[sample_indices], values[sample_indices]),
-    )
+    return make_net_source(net, kind, RecordedWave(times[sample_indices], values[sample_indices]))
+
+
+def make_net_source(net: str, kind: str, wave: Function) -> IdealSource:
+    """Return a source that prescribes the value on a net as the function ``wave`` of time.
+
+    ``kind`` is the physical domain of the net, such as ``electrical``.
+    """
+    return IdealSource(f"net {net}", SOURCE_KINDS[kind], wave)

@@ -21,7 +21,7 @@ MIN_PERMITTIVITY, MAX_PERMITTIVITY = 1.0, 1e6
 MAX_STRAIN_COUPLING = 1e-6
 # Largest stress coefficient [C/m2]: lead ceramics and crystals reach 30 C/m2.
 MAX_STRESS_COUPLING = 1e3
-# Largest ratio of two elastic constants of a material.
+# Largest permitted ratio of two elastic constants of a material.
 # The shear modulus of a gel is 1e-6 of its bulk modulus. The factor between GPa and Pa is 1e9.
 MAX_ELASTIC_RATIO = 1e8
 # Smallest share of the permittivity at constant stress that remains at constant strain.

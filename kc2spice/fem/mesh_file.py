@@ -28,6 +28,7 @@ from skfem.mesh import Mesh
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import UsageError, list_candidates, unknown, wrong
 from kc2spice.core.files import suggest_file
+from kc2spice.core.other_file_formats import SURFACE_SUFFIXES
 from kc2spice.core.quantities import convert_quantity
 from kc2spice.core.untrusted_files import call_in_child, read_bounded
 from kc2spice.fem.mesh_cells import (
@@ -48,7 +49,6 @@ from kc2spice.fem.mesh_nodes import merge_nodes, reject_unconnected_solids
 
 STEP_SUFFIXES = (".step", ".stp")
 CAD_SUFFIXES = (*STEP_SUFFIXES, ".brep")
-SURFACE_SUFFIXES = (".stl", ".obj", ".ply", ".off", ".3mf")  # formats that contain surfaces only
 # First bytes of each format, and the file name of the copy that gmsh reads, keyed by file
 # extension.
 FILE_FORMATS = {

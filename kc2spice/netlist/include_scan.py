@@ -287,7 +287,7 @@ def _require_netlist_format(data: bytes, where: str) -> None:
             f"this file is {name}",
             where=where,
             expected="a text file with a SPICE netlist",
-            hint=_ACTIONS.get(name, "give the path of the SPICE model (.lib or .cir) instead"),
+            hint=_ACTIONS.get(name, _ACTIONS[PDF]),
         )
     if b"\0" in data[:200]:
         raise make_encoding_error(data, where)

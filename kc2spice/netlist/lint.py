@@ -8,6 +8,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping
 from itertools import chain
 from operator import attrgetter
 
+from kc2spice.core.disjoint_groups import DisjointGroups
 from kc2spice.core.errors import UsageError, join_first, list_candidates
 from kc2spice.netlist.circuit import Card, Circuit, Directive, Element, Parameters
 from kc2spice.netlist.deck import Deck
@@ -28,7 +29,6 @@ from kc2spice.netlist.number_and_name_spelling import split_infix_unit
 from kc2spice.netlist.subcircuit_library import parse_declared_pins
 
 _ODD_NUMBERS = tuple(map(Number, ("1", "3", "5", "7", "9")))
-# Usual model type of each element letter, for the advice in errors.
 # Example models of switches, which do not depend on a manufacturer.
 _SWITCH_MODELS = {
     "s": "SW(vt=1 vh=0 ron=1 roff=1meg)",
@@ -296,20 +296,14 @@ def _check_source_loops(top: Scope) -> Iterator[UsageError]:
     The currents in such a loop have no unique value, so the simulator fails. The loop consists of V
     elements and of E elements that are controlled by a voltage.
     """
-    groups: dict[str, str] = {}  # another node of the same group, or the node itself
+    sources = list(_list_ideal_sources(top, "", {}, frozenset()))
+    groups = DisjointGroups(chain.from_iterable(nets for _, nets in sources))
     sources_at: dict[str, list[tuple[str, Element]]] = {}  # accepted sources, by net
-
-    def find_group(node: str) -> str:
-        """Return the node that represents all nodes joined to a node by sources."""
-        while (other := groups.setdefault(node, node)) != node:
-            groups[node] = node = groups[other]
-        return node
-
-    for source, (plus, minus) in _list_ideal_sources(top, "", {}, frozenset()):
-        if find_group(plus) == find_group(minus):
+    for source, (plus, minus) in sources:
+        if groups.are_joined(plus, minus):
             yield _make_loop_error(source, _find_source_path(sources_at, plus, minus))
             continue
-        groups[find_group(plus)] = find_group(minus)
+        groups.join(plus, minus)
         sources_at.setdefault(plus, []).append((minus, source))
         sources_at.setdefault(minus, []).append((plus, source))
 

@@ -14,7 +14,7 @@ from kc2spice.netlist.number_and_name_spelling import format_comment, format_num
 # Either a card, or a text with the comment lines and the blank lines above a card.
 Line: TypeAlias = Item | str
 
-STOP_RESISTANCE = 1e12  # ohm, resistance of the cards that stop the simulation
+_STOP_RESISTANCE = 1e12  # ohm, resistance of the cards that stop the simulation
 STOP_COMMENT = """
 * These cards stop the simulation if a parameter is outside of its range."""
 _PIVOT_COMMENT = (
@@ -65,7 +65,7 @@ def write_condition_stops(conditions: Mapping[str, str], node: str) -> Iterator[
     """
     for words, expression in conditions.items():
         name = f"R{convert_to_element_name(words)}"
-        value = f"{{{format_number(STOP_RESISTANCE)}*(1+0*{expression})}}"
+        value = f"{{{format_number(_STOP_RESISTANCE)}*(1+0*{expression})}}"
         yield Element.from_words(name, node, node, value)
 
 

@@ -41,6 +41,8 @@ from functools import cached_property
 from itertools import chain
 from typing import Any
 
+import numpy as np
+
 from kc2spice.core.domains import AMBIENT, HEAT, QUANTITIES, Domain
 from kc2spice.core.errors import UsageError, did_you_mean, list_candidates, unknown
 from kc2spice.core.naming import list_names
@@ -648,8 +650,8 @@ class Declaration:
         return map_operands(tree, self.replace_power_series) if name is None else Name(name)
 
     @cached_property
-    def number_keys(self) -> tuple[str, ...]:
-        """Names of the keys that are numbers."""
+    def numeric_keys(self) -> tuple[str, ...]:
+        """Names of the numeric keys of the part."""
         fields = self.keys.model_fields.items()
         return tuple(name for name, entry in fields if entry.annotation is float)
 
@@ -659,14 +661,14 @@ class Declaration:
         return {param.name: param.default for param in self.given}
 
     @cached_property
-    def number_names(self) -> tuple[str, ...]:
-        """Names of all numbers of a declaration: numeric keys and ``given`` parameters."""
-        return (*self.number_keys, *self.defaults)
+    def numeric_names(self) -> tuple[str, ...]:
+        """Names of numeric keys, and of parameters in the field ``given``."""
+        return (*self.numeric_keys, *self.defaults)
 
     @cached_property
     def parameters(self) -> tuple[str, ...]:
         """Names of numeric keys, of parameters in the field ``given``, and of constants."""
-        return (*self.number_names, *self.constants)
+        return (*self.numeric_names, *self.constants)
 
     # --- expressions ------------------------------------------------------------------------------
 
@@ -940,12 +942,27 @@ class Declaration:
         occurring = frozenset[str]().union(*map(find_names, trees))
         return tuple(b for b in self.branches if b.rate in occurring)
 
+    def compute_stop_depths(
+        self, keys: Section, known: Mapping[str, np.ndarray]
+    ) -> dict[str, float]:
+        """Return the largest indentation [m] of each stop; negative if the stop is never reached.
+
+        Stops with a variable that is not in ``known`` are omitted. ``known`` contains the recorded
+        waveforms of coordinates, keyed by name.
+        """
+        values = self.compute_parameter_values(keys) | dict(known)
+        return {
+            what: float(np.max(evaluate_tree(tree, values)))
+            for what, tree in self.trees_by_stop.items()
+            if self.stop_variables[what] <= known.keys()
+        }
+
     def compute_parameter_values(self, keys: Section) -> dict[str, float]:
         """Return the values of all parameters in SI units, for a part with ``keys``.
 
         The values are keyed by parameter name.
         """
-        result = {name: float(getattr(keys, name)) for name in self.number_keys}
+        result = {name: float(getattr(keys, name)) for name in self.numeric_keys}
         result |= self.defaults
         for name, tree in self.constant_trees.items():
             result[name] = float(evaluate_tree(tree, result))

@@ -359,9 +359,9 @@ class DeclaredLaw(Device):
     def find_next_mode(self, mode: Any, guard: int) -> tuple[int, ...]:
         """Find the next mode of a device: the switching state into which it switches.
 
-        ``guard`` is the number of the kink whose guard function has fallen to zero. Each flag in
-        ``mode`` states the active side of one kink. The result is a copy of ``mode`` in which only
-        the flag of the kink ``guard`` is inverted.
+        Each kink of the law has one guard function, and one flag in ``mode`` that states the active
+        side of the kink. ``guard`` is the index of the guard function that has fallen to zero. The
+        result is a copy of ``mode`` in which only the flag with the index ``guard`` is inverted.
         """
         return (*mode[:guard], 1 - mode[guard], *mode[guard + 1 :])
 

@@ -299,14 +299,10 @@ class DeclaredPart(PartType[KeysT]):
         small = build.scene.analysis.is_small_signal
         if small:
             yield from _check_limits(d, part, known, " at its operating point")
-        for what, tree in d.trees_by_stop.items():
-            if d.stop_variables[what] <= known.keys():
-                depth = float(
-                    np.max(evaluate_tree(tree, d.compute_parameter_values(part.keys) | known))
-                )
-                name = f"{part.name} beyond {what} at its operating point"
-                advice = "the part has pulled in: lower the bias, or use stiffer springs"
-                yield Check(name, max(depth, 0.0), 0.0, "m", advice, "fail" if small else "warn")
+        for what, depth in d.compute_stop_depths(part.keys, known).items():
+            name = f"{part.name} beyond {what} at its operating point"
+            advice = "the part has pulled in: lower the bias, or use stiffer springs"
+            yield Check(name, max(depth, 0.0), 0.0, "m", advice, "fail" if small else "warn")
 
     def _list_recorded_waves(
         self, part: Part[KeysT], build: BuiltScene, waves: Waveforms
@@ -481,7 +477,7 @@ def make_declared_subcircuit(
     require_distinct([*ends, *inner], _INNER_NODE_PATTERN, where=name)
     keys = []
     for key in list_schema_keys(d.keys):
-        if key.name in d.number_keys:
+        if key.name in d.numeric_keys:
             unit = (key.unit or "-").replace(" ", "*")
             keys.append(Param(key.name, values[key.name], unit, key.doc))
     params = (*keys, *d.given)

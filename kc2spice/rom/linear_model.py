@@ -724,27 +724,33 @@ def _reject_ambiguous_outputs(C: np.ndarray | None, B: np.ndarray, n: int, where
     if C is None or C.shape != (n, n) or n == 1 or np.array_equal(C, B.T):
         return
     if (np.count_nonzero(C, axis=1) > 1).any():
-        raise UsageError(
-            "it is not stated whether matrix C is the damping matrix or the output matrix",
-            where=where,
-            got=f"a square C of {n} rows beside M and K",
-            expected="a damping matrix with the name E, or one row of C for each output",
-            hint="if C is the damping matrix, pass it as E; if C is the output matrix of an "
-            "undamped model, add rayleigh=(0, 0)",
-        )
+        raise make_ambiguous_damping_error("C", n, where, "one row of C for each output")
 
 
 def _reject_ambiguous_feedthrough(D: np.ndarray | None, n: int, where: str) -> None:
     """Reject a square feedthrough matrix D that may be meant as a damping matrix."""
     if D is not None and D.shape == (n, n) and D.any():
-        raise UsageError(
-            "it is not stated whether matrix D is the damping matrix or the feedthrough matrix",
-            where=where,
-            got=f"a square D of {n} rows beside M and K",
-            expected="a damping matrix with the name E, or D and rayleigh=(0, 0)",
-            hint="if D is the damping matrix, pass it as E; if D is the feedthrough matrix of an "
-            "undamped model, add rayleigh=(0, 0)",
-        )
+        raise make_ambiguous_damping_error("D", n, where, "D and rayleigh=(0, 0)")
+
+
+def make_ambiguous_damping_error(
+    letter: Literal["C", "D"], n: int, where: str, expected: str, hint: str | None = None
+) -> UsageError:
+    """Make the error for a square matrix C or D that may be meant as a damping matrix.
+
+    ``n`` is the number of rows. ``expected`` describes matrices that are accepted besides a damping
+    matrix E. The default hint applies to arguments of :class:`LinearModel`.
+    """
+    role = {"C": "output", "D": "feedthrough"}[letter]
+    return UsageError(
+        f"it is not stated whether matrix {letter} is the damping matrix or the {role} matrix",
+        where=where,
+        got=f"a square {letter} of {n} rows beside M and K",
+        expected=f"a damping matrix with the name E, or {expected}",
+        hint=hint
+        or f"if {letter} is the damping matrix, pass it as E; if {letter} is the {role} matrix of "
+        "an undamped model, add rayleigh=(0, 0)",
+    )
 
 
 def stores_one_triangle(matrix: Matrix) -> bool:

@@ -42,7 +42,8 @@ MIN_DECAY_RATIO = 0.25
 # largest decay rate at which samples determine a pole, divided by the angular frequency at the end
 # of the band
 MAX_DECAY_RATIO = 10.0
-# Upper limits for the frequency of a pole, relative to the end of the band, in order of trial.
+# Upper limits for the frequency of a pole, relative to the upper end of the band. The fit tries the
+# largest upper limit first.
 # Transmission lines need poles above the band.
 # However, a model of measured data with poles above the band is seldom passive.
 MAX_FREQUENCY_RATIOS = (3.0, 1.25, 1.001)

@@ -392,11 +392,11 @@ def reduce_to_first_order(
     tolerance: float,
     norm: Norm,
 ) -> LinearModel:
-    """Replace a reduced model with real poles by a passive first-order model.
+    """Reduce a model to a passive first-order model if all reduced poles are real.
 
-    The function ``reduced`` reduces a copy of ``model`` that has no mass matrix. If the poles are
-    not real, or if the first-order model does not have fewer states, the result is
-    ``reduced_model``.
+    The function ``reduced`` reduces a copy of ``model`` that has no mass matrix. If a
+    pole of ``reduced_model`` is not real, or if the first-order model does not have fewer states,
+    the result is ``reduced_model``.
     """
     known = reduced_model.certificate
     if known is None or any(port.domain is ACCELERATION for port in model.ports):

@@ -26,7 +26,7 @@ class Metric:
     The unit of a pure number is ``""``. The name of a metric does not determine its unit, because
     the author of a part may choose the name freely. If ``warning`` is set, the summary of a run
     prints the text ``warning`` as a warning in place of the metric. If the value lies between two
-    points of a sweep, ``resolution`` is half of the distance of these points, with the unit of the
+    points of a sweep, ``resolution`` is half the distance between these points, in the unit of the
     metric.
     """
 

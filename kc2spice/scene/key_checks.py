@@ -10,7 +10,7 @@ from itertools import chain
 from math import inf
 from operator import attrgetter
 
-from kc2spice.core.errors import UsageError, list_candidates
+from kc2spice.core.errors import UsageError, join_words, list_candidates
 from kc2spice.core.probe_values import make_outside_error
 from kc2spice.core.quantities import USUAL_GRAVITY, convert_quantity
 from kc2spice.core.schemas import KeyPath, find_unit, join_path
@@ -18,6 +18,7 @@ from kc2spice.core.si_prefix_format import format_quantity
 from kc2spice.core.toml_text import format_toml
 from kc2spice.core.user_warnings import warn_user
 from kc2spice.core.waveforms import Waveform
+from kc2spice.scene.overrides import is_option
 from kc2spice.scene.part_method_calls import PERIOD_TOLERANCE
 from kc2spice.scene.plausibility import (
     ImplausibleValueError,
@@ -403,8 +404,7 @@ def _quote_keys(keys: Sequence[str]) -> str:
     >>> _quote_keys(["stop", "start", "scale"])
     '`stop`, `start` and `scale`'
     """
-    quoted = [f"`{key}`" for key in keys]
-    return " and ".join(filter(None, (", ".join(quoted[:-1]), quoted[-1])))
+    return join_words([f"`{key}`" for key in keys])
 
 
 def _advise_analysis_keys(scene: Scene, unused: Sequence[str]) -> str:
@@ -419,7 +419,7 @@ def _advise_analysis_keys(scene: Scene, unused: Sequence[str]) -> str:
     if source is not None and source.overrides_key("analysis.type"):
         stated = scene.tables.get("analysis", {})
         table = {key: value for key, value in stated.items() if key not in unused} | added
-        if source.overrides["analysis", "type"].startswith("--set"):
+        if is_option(source.overrides["analysis", "type"]):
             text = shlex.quote(f"analysis={format_toml(table)}")
             return f"write  --set {text}  in place of --set analysis.type={selected.type}"
         return f"write  'analysis': {table!r}  in place of 'analysis.type': {selected.type!r}"

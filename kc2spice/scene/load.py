@@ -20,20 +20,23 @@ from pydantic import BaseModel, ValidationError
 from kc2spice.core.argument_and_option_names import check_arguments
 from kc2spice.core.domains import QUANTITIES
 from kc2spice.core.errors import UsageError, did_you_mean, list_candidates, normalise_word, unknown
-from kc2spice.core.key_errors import describe_invalid_key
+from kc2spice.core.key_errors import UNKNOWN_KEY, describe_invalid_key
 from kc2spice.core.schemas import list_keys
 from kc2spice.core.synonyms_from_other_programs import PART_TYPE_SYNONYMS
 from kc2spice.core.toml_text import clip_text, display_text, format_toml
-from kc2spice.core.untrusted_files import (
-    make_identifier,
-    parse_toml,
-)
+from kc2spice.core.untrusted_files import make_identifier, parse_toml
 from kc2spice.core.user_warnings import warn_user
 from kc2spice.scene.catalogue import CataloguePart, find_part
 from kc2spice.scene.key_checks import check_periods, check_scene
 from kc2spice.scene.keys import KeyDescription, list_part_keys, list_schema_keys
 from kc2spice.scene.net_formation import add_default_joins, warn_of_short_circuits
-from kc2spice.scene.overrides import EXCLUSIVE_KEYS, read_overrides, set_key, write_example
+from kc2spice.scene.overrides import (
+    EXCLUSIVE_KEYS,
+    is_option,
+    read_overrides,
+    set_key,
+    write_example,
+)
 from kc2spice.scene.part_method_calls import add_part_records, resolve
 from kc2spice.scene.parttype import find_part_type, list_type_names
 from kc2spice.scene.plausibility import apply_check_action, check_drive_levels
@@ -42,7 +45,6 @@ from kc2spice.scene.scene_file import SceneFile, open_scene
 from kc2spice.scene.settings import Analysis, SceneKeys
 from kc2spice.scene.start_conditions import find_start_errors
 
-UNKNOWN_KEY = "unknown key"  # message about a key that no table of the scene may contain
 _PART_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,47}")
 PARTS_COMMAND = "kc2spice scenes --parts"  # command that lists the part types
 STRUCTURAL_KEYS = ("part", "pins")  # keys that every table of a part may contain
@@ -190,7 +192,7 @@ def _explain_replaced_type(data: Mapping[str, Any], source: SceneFile, problem: 
     problem.expected = f"a table {name} with keys of part = {table['part']!r} only"
     problem.hint = (
         f"replace the whole table: add  --set {shlex.quote(text)}"
-        if origin.startswith("--set")
+        if is_option(origin)
         else f"replace the whole table: add  {name!r}: {changed!r}  to the overrides"
     )
     problem.where = origin
@@ -205,7 +207,6 @@ _FRACTION_HINT = re.compile(r"(for \S+ %), write  \w+ = (\S+)(?:  in \[[\w.]+\])
 
 # pattern of a hint that deletes a key, such as: delete the key `back`
 _DELETE_HINT = re.compile(r"delete (?:the key )?`?(\w+)`?(?: of \[\w+\])?(?=$|;)")
-
 
 # pattern of a hint that changes one key, such as: raise pulse.period to 1 ms
 _OTHER_KEY_HINT = re.compile(r"(?:raise|lower) ([\w.]+) (?:to|above|below) .+")
@@ -240,42 +241,39 @@ def _advise_either(origin: str, hint: str | None) -> str:
 
 def _advise_override(source: SceneFile, problem: UsageError) -> None:
     """Advise an override in place of a change of the file, if an override caused an error."""
-    origin = source.find_override(str(problem.where))
+    where, hint = str(problem.where), problem.hint or ""
+    origin = source.find_override(where)
     if origin is None:
         if (other := _find_override_named_in_error(source, problem)) is not None:
             problem.hint = _advise_either(other, problem.hint)
-        return
-    if (changed := _OTHER_KEY_HINT.fullmatch(problem.hint or "")) is not None:
-        table = f"{str(problem.where).partition('.')[0]}."
+    elif changed := _OTHER_KEY_HINT.fullmatch(hint):
+        table = f"{where.partition('.')[0]}."
         if not source.overrides_key(table + changed[1].removeprefix(table)):
-            problem.hint = _advise_either(origin, problem.hint)
-        return
-    deleted = _DELETE_HINT.match(problem.hint or "")
-    if deleted and origin.startswith("--set") and source.overrides_key(str(problem.where)):
-        key = str(problem.where).rpartition(".")[2]
-        if deleted[1] == key:
-            problem.hint = f"leave out {origin}{str(problem.hint)[deleted.end() :]}"
-        return
-    fraction = _FRACTION_HINT.fullmatch(problem.hint or "")
-    if fraction is not None:
-        where = str(problem.where)
-        problem.hint = f"{fraction[1]}, write  '{where}': {fraction[2]}  in the overrides"
-        if origin.startswith("--set"):
-            problem.hint = f"{fraction[1]}, write  --set {shlex.quote(f'{where}={fraction[2]}')}"
-        return
-    hint = _KEY_HINT.fullmatch(problem.hint or "")
-    if hint is None:
-        return
-    key, value, is_list, table, end = hint.groups()
-    table += "[0]" if is_list else ""
-    verb = "write" if source.overrides_key(f"{table}.{key}") else "add"
-    if origin.startswith("--set"):
-        text = value[1:-1] if re.fullmatch(r'"[^"]*"', value) else value
-        problem.hint = f"{verb}  --set {shlex.quote(f'{table}.{key}={text}')}{end}"
-        if verb == "add" and problem.message == UNKNOWN_KEY:
-            problem.hint = f"{problem.hint.replace('add', 'write', 1)}  in place of {origin}"
-    else:
-        problem.hint = f"{verb}  '{table}.{key}': {value}  in the overrides{end}"
+            problem.hint = _advise_either(origin, hint)
+    elif deleted := _DELETE_HINT.match(hint):
+        same_key = deleted[1] == where.rpartition(".")[2]
+        if same_key and is_option(origin) and source.overrides_key(where):
+            problem.hint = f"leave out {origin}{hint[deleted.end() :]}"
+    elif fraction := _FRACTION_HINT.fullmatch(hint):
+        problem.hint = f"{fraction[1]}, write  {_write_override(where, fraction[2], origin)}"
+    elif stated := _KEY_HINT.fullmatch(hint):
+        key, value, is_list, table, end = stated.groups()
+        path = f"{table}[0].{key}" if is_list else f"{table}.{key}"
+        verb = "write" if source.overrides_key(path) else "add"
+        if verb == "add" and problem.message == UNKNOWN_KEY and is_option(origin):
+            verb, end = "write", f"{end}  in place of {origin}"
+        problem.hint = f"{verb}  {_write_override(path, value, origin)}{end}"
+
+
+def _write_override(key: str, value: str, origin: str) -> str:
+    """Write an override of a key in the form of another override, whose origin is given.
+
+    ``value`` is TOML text. The form is an option ``--set`` or an entry of a Python mapping.
+    """
+    if not is_option(origin):
+        return f"'{key}': {value}  in the overrides"
+    text = value[1:-1] if re.fullmatch(r'"[^"]*"', value) else value
+    return f"--set {shlex.quote(f'{key}={text}')}"
 
 
 # pattern of a hint that adds a key to a table, such as: add  layers = []  to disc

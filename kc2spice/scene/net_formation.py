@@ -7,14 +7,14 @@ assigns all names of nodes and cards in a deck, so these names are unique.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Hashable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from itertools import combinations, product
 from operator import attrgetter
 from string import ascii_lowercase
-from typing import Any
 
+from kc2spice.core.disjoint_groups import DisjointGroups
 from kc2spice.core.domains import ELECTRICAL, QUANTITIES, Domain
 from kc2spice.core.errors import UsageError, did_you_mean, list_candidates, unknown
 from kc2spice.core.user_warnings import warn_user
@@ -23,7 +23,7 @@ from kc2spice.scene.parttype import find_current_into
 from kc2spice.scene.reference_frames import find_frames
 from kc2spice.scene.scene_classes import (
     GROUND,
-    BuildRecord,
+    BuiltPartRecord,
     BuiltScene,
     NameAllocator,
     Part,
@@ -390,7 +390,7 @@ def _reports_pin_current(body: Part, pin: str, scene: Scene) -> bool:
     for name, _ in scene.list_joined_pins(body.name, pin):
         part = scene.parts[name]
         if not part.is_body:
-            records[name] = BuildRecord(EquilibriumConditions(), part.type.vectors(part, build))
+            records[name] = BuiltPartRecord(EquilibriumConditions(), part.type.vectors(part, build))
     return find_current_into(body, pin, replace(build, records=records)) is not None
 
 
@@ -569,31 +569,6 @@ def _choose_ground_pin(floating: Sequence[Pin], scene: Scene) -> Pin:
         if scene.nets[key] == scene.nets[chosen] and not has_target:
             return key
     return chosen
-
-
-class DisjointGroups:
-    """Disjoint groups of members, with a method that joins two groups."""
-
-    def __init__(self, members: Iterable[Hashable]) -> None:
-        self._groups = {member: [member] for member in members}
-
-    def are_joined(self, a: Hashable, b: Hashable) -> bool:
-        """Return whether two members are in the same group."""
-        return self._groups[a] is self._groups[b]
-
-    def join(self, a: Hashable, b: Hashable) -> None:
-        """Merge the group that contains ``a`` and the group that contains ``b``."""
-        first, second = self._groups[a], self._groups[b]
-        if first is not second:
-            first += second
-            self._groups.update(dict.fromkeys(second, first))
-
-    def list_groups(self) -> list[list[Any]]:
-        """List all groups of joined members, in the order of their first members."""
-        result: dict[int, list[Any]] = {}
-        for member, group in self._groups.items():
-            result.setdefault(id(group), []).append(member)
-        return list(result.values())
 
 
 def describe_nets(scene: Scene) -> tuple[str, ...]:

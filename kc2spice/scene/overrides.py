@@ -55,6 +55,11 @@ def read_overrides(
             yield name, value, f"{origin} of {file}", Path(file).resolve().parent
 
 
+def is_option(origin: str) -> bool:
+    """Return whether an override with this origin is an option ``--set`` of the command line."""
+    return origin.startswith("--set")
+
+
 def expand_overrides(texts: Sequence[str]) -> list[str]:
     """Replace each TOML file name by strings ``dotted.key=value``, one for each key.
 

@@ -19,7 +19,7 @@ from kc2spice.scene.net_formation import join_parts, with_equilibrium_conditions
 from kc2spice.scene.part_records import Governed, InitialState, NumericalRequirements
 from kc2spice.scene.results import collect_results, find_noise_output, resolve_dc_sweep
 from kc2spice.scene.scene_classes import (
-    BuildRecord,
+    BuiltPartRecord,
     BuiltScene,
     NameAllocator,
     Part,
@@ -75,7 +75,7 @@ def add_equilibrium_and_results(build: BuiltScene, without: Collection[str] = ()
     """
     records = {}
     for name, part in build.scene.parts.items():
-        records[name] = BuildRecord(part.type.equilibrium_after_build(part, build))
+        records[name] = BuiltPartRecord(part.type.equilibrium_after_build(part, build))
     for reduced in (False, True):
         build = replace(build, records=dict(records))
         for part in _list_parts_with_cards(build):

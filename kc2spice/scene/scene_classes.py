@@ -216,8 +216,8 @@ class Part(Generic[KeysT]):
         return (rom.parameters if rom else None) or {}
 
     @property
-    def declares_ports(self) -> bool:
-        """Whether the part is a body whose ports are declared in files."""
+    def has_declared_ports(self) -> bool:
+        """Whether the part is a body with declared ports: ports listed in keys or files."""
         return self.is_body and self.type.ports_of_files
 
     def wrong(
@@ -305,10 +305,10 @@ class DeclaredScene(AdvisesOnAttributes):
     the order of the file, and then generated parts. ``home`` is the folder of the file. ``ports``
     selects the ports of bodies: ``"needed"`` ports for a run, ``"declared"`` ports for an export,
     or ``"all"`` ports for documentation. Declared ports are all ports that the files of a body
-    declare (:attr:`Part.declares_ports`). ``resolved_frequency`` [Hz] is the frequency up to which
-    the models of the parts are accurate. If ``resolved_frequency`` is None, the analysis determines
-    this frequency. ``workspace`` is a cache of large results, such as meshes. Scenes that are
-    derived from a scene use the cache of that scene.
+    declare (:attr:`Part.has_declared_ports`). ``resolved_frequency`` [Hz] is the frequency up to
+    which the models of the parts are accurate. If ``resolved_frequency`` is None, the analysis
+    determines this frequency. ``workspace`` is a cache of large results, such as meshes. Scenes
+    that are derived from a scene use the cache of that scene.
     """
 
     _attribute_advice: ClassVar[Mapping[str, str]] = {
@@ -649,7 +649,7 @@ def compute_scene_hash(scene: Scene) -> str:
     for part in scene.parts.values():
         keys = part.keys.model_dump(mode="json", exclude_none=True)
         parts[part.name] = [part.type.name, keys, dict(part.pins)]
-        if part.declares_ports:
+        if part.has_declared_ports:
             declaring.append(part.name)
     content["parts"] = parts
     # A body that is the only part of its scene always has all its ports.
@@ -660,8 +660,8 @@ def compute_scene_hash(scene: Scene) -> str:
 
 
 @dataclass(frozen=True)
-class BuildRecord:
-    """Results and equilibrium conditions of one part of a built scene.
+class BuiltPartRecord:
+    """Record of a built part: equilibrium conditions, results and settable keys.
 
     The fields are the results of :meth:`PartType.equilibrium_after_build`,
     :meth:`PartType.vectors` and :meth:`PartType.settable_quantities`. A part without cards in the
@@ -682,7 +682,7 @@ class BuiltScene:
     netlists. For ``unchecked_parts``, checks and energy balances are omitted, because the
     parameters of these parts in the deck differ from the keys of the scene. ``functions`` are
     Python functions that set sources. ``largest_step`` is the upper limit of the time step of a
-    transient. ``records`` contains the build records of the parts
+    transient. ``records`` contains the records of the built parts
     (:func:`kc2spice.scene.part_method_calls.add_results_and_sources`). ``results`` are the results
     that the simulator saves. ``dc_sweep`` is the sweep of a dc analysis. ``noise_output`` is the
     output of a noise analysis. ``laws`` are the equations of the parts
@@ -699,7 +699,7 @@ class BuiltScene:
     unchecked_parts: frozenset[str] = frozenset()
     functions: Mapping[str, ControllerFunction] = field(default_factory=dict)
     largest_step: StepLimit | None = None
-    records: Mapping[str, BuildRecord] = field(default_factory=dict)
+    records: Mapping[str, BuiltPartRecord] = field(default_factory=dict)
     results: SceneResults = field(default_factory=SceneResults)
     dc_sweep: DcSweep | None = None
     noise_output: PartResult | None = None

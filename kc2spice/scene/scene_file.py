@@ -25,7 +25,7 @@ from kc2spice.core.errors import (
 )
 from kc2spice.core.files import find_similar_name
 from kc2spice.core.other_file_formats import identify_binary_format, make_other_format_error
-from kc2spice.core.schemas import join_path
+from kc2spice.core.schemas import find_unit, join_path, list_keys
 from kc2spice.core.toml_errors import EXPECTED_SCENE_FILE, parse_toml_file
 from kc2spice.core.untrusted_files import (
     MAX_TEXT_BYTES,
@@ -50,7 +50,7 @@ def _find_unit_of_key(lines: Sequence[str], number: int, key: str) -> str | None
     The line ``part = "TYPE"`` of the same table states the part type. The result is None if the
     table has no such line, or if keys of the part with this name have several units.
     """
-    from kc2spice.core.schemas import find_unit, list_keys
+    # imported here, because only errors need the part types
     from kc2spice.scene.parttype import find_part_type
 
     header = re.compile(r"\s*\[")

@@ -6,9 +6,9 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import chain
 
+from kc2spice.core.disjoint_groups import DisjointGroups
 from kc2spice.core.domains import HEAT, TRANSLATION, Domain
 from kc2spice.core.errors import UsageError
-from kc2spice.scene.net_formation import DisjointGroups
 from kc2spice.scene.part_records import EquilibriumConditions
 from kc2spice.scene.scene_classes import GROUND, Scene
 

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
+from kc2spice.core.disjoint_groups import DisjointGroups
 from kc2spice.core.domains import QUANTITIES
 from kc2spice.core.user_warnings import warn_user
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.scene.net_formation import DisjointGroups
 from kc2spice.scene.scene_classes import GROUND, BuiltScene, Scene, Terminal
 
 SOURCE = "source"  # part type of independent sources
@@ -38,7 +38,7 @@ def warn_of_undriven_parts(build: BuiltScene, waves: Waveforms) -> None:
         return
     resting = [group for group in groups if _is_resting(group, zero_results, scene)]
     for group in resting:
-        names, parts = " and ".join(group), " and ".join(group)
+        names = parts = " and ".join(group)
         if len(group) > 2:
             names, parts = f"{group[0]} and of the parts connected to it", "these parts"
         warn_user(
@@ -114,22 +114,16 @@ def _suggest_join(scene: Scene, group: list[str]) -> str:
 
     The other pin is preferably a pin that is on ground only because no pin is joined to it.
     """
-    unused: list[tuple[str, str, str]] = []
-    used: list[tuple[str, str, str]] = []
+    advice_for_used_pin: str | None = None
     for name, terminal in _list_pins(scene, group):
         for (other, pin), there in scene.terminals.items():
             if other in group or there.kind != terminal.kind:
                 continue
+            target = f"{other}.{pin}"
+            advice = f'add  {terminal.name} = "{target}"  to the pins of {name}'
             joined = pin in scene.parts[other].pins or scene.is_target(other, pin)
             if scene.nets[other, pin] != "0":
-                used.append((name, terminal.name, f"{other}.{pin}"))
+                advice_for_used_pin = advice_for_used_pin or advice
             elif there.default == GROUND and not joined and scene.parts[other].type.name != SOURCE:
-                unused.append((name, terminal.name, f"{other}.{pin}"))
-    for name, pin, target in unused:
-        return (
-            f"`{target}` is on {GROUND}, because no pin is connected to it; "
-            f'add  {pin} = "{target}"  to the pins of {name}'
-        )
-    for name, pin, target in used:
-        return f'add  {pin} = "{target}"  to the pins of {name}'
-    return f"connect {group[0]} to a source, or delete it"
+                return f"`{target}` is on {GROUND}, because no pin is connected to it; {advice}"
+    return advice_for_used_pin or f"connect {group[0]} to a source, or delete it"

@@ -506,7 +506,7 @@ UNCHANGED_SHARE = 0.9
 def _correct_time_step_error(
     error: SimulationError, check: Check, values: Sequence[tuple[str, float]], deck: Deck
 ) -> None:
-    """Correct the message and the hint of an error that blames the time steps.
+    """Correct the message and hint of an error that names time steps as the cause.
 
     ``values`` contains the name and the value of the first violated check of each attempt. If
     shorter time steps did not change the value, the time steps are not the cause.

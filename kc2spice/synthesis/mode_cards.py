@@ -214,7 +214,7 @@ def write_losses(model: Resonators, terminals: Sequence[PortTerminal], base: str
 def _describe_resonators(
     terminals: Sequence[PortTerminal], base: str, weights: StepWeights
 ) -> list[str]:
-    """Return netlist comments about the resonators' equations and the reference pin."""
+    """Return netlist comments that describe the resonators and the reference pin."""
     words: dict[str, Any] = {
         "full": weights.full,
         "power": weights.power,

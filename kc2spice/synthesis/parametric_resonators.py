@@ -175,7 +175,7 @@ def parametric_subcircuit(
 
 
 def _describe_resonators(ports: Sequence[Port], base: str) -> str:
-    """Return the netlist comment about the circuit equations and the reference pin."""
+    """Return a netlist comment that describes the resonators and the reference pin."""
     domains = list_port_domains(ports)
     if not has_other_reference(domains):
         return _RESONATOR_COMMENT.format(

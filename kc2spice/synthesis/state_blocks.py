@@ -116,7 +116,7 @@ def write_blocks(
 
 
 def _write_input_cards(terminals: Iterable[PortTerminal], base: str) -> Iterator[Line]:
-    """Yield resistor cards for noise inputs, then leak conductances for signal inputs."""
+    """Yield input cards: resistors at noise inputs, conductances at signal inputs."""
     inputs = [t for t in terminals if t.kind == "input"]
     for t in filter(attrgetter("is_noise"), inputs):
         yield Element.from_words(f"R{t.pins[0]}", t.pins[0], base, "1")

@@ -24,20 +24,20 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from kc2spice.core.constitutive_laws import IdealSource, evaluate_combinations
+from kc2spice.core.constitutive_laws import evaluate_combinations
 from kc2spice.core.domains import DOMAINS
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.si_prefix_format import format_quantity
 from kc2spice.core.waveforms import Waveform, Waveforms
 from kc2spice.equations.networks import Network, get_law_name, list_pin_kinds
-from kc2spice.equations.recorded_sources import SOURCE_KINDS, find_replayed_nets
+from kc2spice.equations.recorded_sources import find_replayed_nets, make_net_source
 from kc2spice.equations.scene_laws import get_scene_laws
 from kc2spice.scene.checks import Check, RunEnergyBalance
 from kc2spice.scene.part_records import STEP_SET_BY_USER, PartResult, StepLimit
 from kc2spice.scene.scene_classes import BuiltScene
 
 if TYPE_CHECKING:
-    from kc2spice.reference.small_signal_analysis import ExponentialSolution
+    from kc2spice.reference.small_signal_analysis import ExponentialSolution, LinearisedSystem
 
 # Largest permitted errors of the rms value of a wave, and of the wave itself.
 # Each error is relative to the largest value of the same quantity.
@@ -108,7 +108,7 @@ def choose_largest_step(build: BuiltScene) -> StepLimit:
     for motion in linearised.exact_solutions:
         if motion is not None:
             limits.append(find_step(motion, start, rule))
-    limits += _limit_steps_by_natural_modes(build, start, rule)
+    limits += _limit_steps_by_natural_modes(linearised, start, rule)
     return min(limits, key=attrgetter("step"))
 
 
@@ -183,12 +183,15 @@ class LinearisedScene:
         return self._networks_and_other_parts[1]
 
     @cached_property
+    def systems(self) -> tuple[LinearisedSystem | None, ...]:
+        """Linearised equations of each network; None for networks that cannot be linearised."""
+        return tuple(map(_linearise_network, self.networks))
+
+    @cached_property
     def exact_solutions(self) -> tuple[ExponentialSolution | None, ...]:
         """Exact solution of each network; None if a network is too large or unsolvable."""
-        return tuple(
-            _solve_network_from_rest(network, self.build.scene.stop_time)
-            for network in self.networks
-        )
+        stop = self.build.scene.stop_time
+        return tuple(_solve_from_rest(system, stop) for system in self.systems)
 
 
 def find_linearised_scene(build: BuiltScene) -> LinearisedScene:
@@ -211,22 +214,27 @@ def with_linearised_scene(build: BuiltScene) -> BuiltScene:
     return replace(build, linearised=find_linearised_scene(build))
 
 
-def _solve_network_from_rest(network: Network, stop: float) -> ExponentialSolution | None:
-    """Solve a linearised network exactly; the network starts from rest.
-
-    The result is None if the network is too large or has no solution.
-    """
+def _linearise_network(network: Network) -> LinearisedSystem | None:
+    """Linearise a network at rest; return None if it is too large or has no equilibrium."""
+    # imported here, because the modules load scipy
     from kc2spice.reference.small_signal_analysis import LinearisedSystem
-
-    # imported here, because the module loads scipy
     from kc2spice.reference.system import assemble_system
 
     try:
-        system = assemble_system(network.laws, network.joins, MAX_UNKNOWNS)
-        linear = LinearisedSystem(system)
+        return LinearisedSystem(assemble_system(network.laws, network.joins, MAX_UNKNOWNS))
     except (SimulationError, UsageError, np.linalg.LinAlgError):
         return None
-    return linear.compute_transient_solution(tuple(source.wave for source in system.sources), stop)
+
+
+def _solve_from_rest(system: LinearisedSystem | None, stop: float) -> ExponentialSolution | None:
+    """Solve linearised equations exactly up to the time ``stop`` [s], starting from rest.
+
+    The result is None if there are no equations, or if they have no exact solution.
+    """
+    if system is None:
+        return None
+    waves = tuple(source.wave for source in system.system.sources)
+    return system.compute_transient_solution(waves, stop)
 
 
 # --- rules of integration -------------------------------------------------------------------------
@@ -297,11 +305,10 @@ def find_step(motion: ExponentialSolution, start: StepLimit, rule: IntegrationRu
     if h == start.step:
         return start
     observed = (peaks[:, outputs] / np.abs(exact).max(axis=0)).max(axis=1)
-    delay = np.abs(rule.rates(modes.rates, h) - modes.rates)
-    lasting = np.minimum(-1 / np.minimum(modes.rates.real, -1e-30), motion.stop)
+    errors = observed * _compute_mode_errors(modes.rates, rule, h, motion.stop)
     reasons = []
     if resonant.any():
-        worst = int(np.argmax(np.where(resonant, observed * delay * lasting, -1.0)))
+        worst = int(np.argmax(np.where(resonant, errors, -1.0)))
         reasons.append(_describe_resonance(modes.rates[worst], modes.q_factors[worst]))
     reasons += [f"sine at {format_quantity(wave.frequency, 'Hz', 4)}" for _, wave in motion.sines]
     return StepLimit(float(f"{h:.3g}"), "; ".join(dict.fromkeys(reasons)))
@@ -322,7 +329,7 @@ def _bisect_step(is_accurate: Callable[[float], bool], stop: float, start: float
 
 
 def _limit_steps_by_natural_modes(
-    build: BuiltScene, start: StepLimit, rule: IntegrationRule
+    linearised: LinearisedScene, start: StepLimit, rule: IntegrationRule
 ) -> Iterator[StepLimit]:
     """Yield time steps that resolve natural modes, for networks without an exact solution.
 
@@ -333,39 +340,41 @@ def _limit_steps_by_natural_modes(
     exists, the contribution of a mode is computed from the exact solution. Otherwise, the
     contribution of a mode is estimated from its natural frequency.
     """
-    linearised, stop = find_linearised_scene(build), build.scene.stop_time
-    missing = linearised.parts_without_network
-    for network, motion in zip(linearised.networks, linearised.exact_solutions, strict=True):
+    build, missing = linearised.build, linearised.parts_without_network
+    stop, networks, systems = build.scene.stop_time, linearised.networks, linearised.systems
+    for network, system, motion in zip(networks, systems, linearised.exact_solutions, strict=True):
         if motion is None or _has_unmodelled_neighbour(build, network, missing):
-            poles = _find_poles(network)
+            poles = _find_poles(network, system)
             yield _find_step_of_modes(poles, _estimate_mode_shares(poles, stop), start, stop, rule)
     for network, driven in _list_networks_with_prescribed_nets(build):
-        motion = _solve_network_from_rest(network, stop)
+        system = _linearise_network(network)
+        motion = _solve_from_rest(system, stop)
         if motion is None:
-            poles = _find_poles(network)
+            poles = _find_poles(network, system)
             shares = _estimate_mode_shares(poles, stop)
         else:
             poles, shares = motion.modes.rates, _find_mode_shares(motion, driven)
         yield _find_step_of_modes(poles, shares, start, stop, rule)
 
 
-def _find_poles(network: Network) -> np.ndarray:
+def _find_poles(network: Network, system: LinearisedSystem | None) -> np.ndarray:
     """Return the poles [1/s] of a network that is linearised at rest; empty if unknown.
 
-    The poles of a linear network do not depend on the equilibrium, which may not exist: for
-    example, a body without a support has no equilibrium.
+    ``system`` contains the linearised equations of the network, or is None if there is no
+    equilibrium. The poles of a linear network do not depend on the equilibrium, which may not
+    exist: for example, a body without a support has no equilibrium.
     """
+    # imported here, because the modules load scipy
     from kc2spice.reference.small_signal_analysis import LinearisedSystem
-
-    # imported here, because the module loads scipy
     from kc2spice.reference.system import assemble_system
 
     try:
-        system = assemble_system(network.laws, network.joins, MAX_UNKNOWNS)
-        point: tuple[np.ndarray, list[object]] | None = None
-        if not system.devices:
-            point = np.zeros(system.size), []
-        return LinearisedSystem(system, point=point).poles
+        if system is None:
+            equations = assemble_system(network.laws, network.joins, MAX_UNKNOWNS)
+            if equations.devices:
+                return np.zeros(0, dtype=complex)
+            system = LinearisedSystem(equations, point=(np.zeros(equations.size), []))
+        return system.poles
     except (SimulationError, UsageError, np.linalg.LinAlgError):
         return np.zeros(0, dtype=complex)
 
@@ -373,22 +382,19 @@ def _find_poles(network: Network) -> np.ndarray:
 def _list_networks_with_prescribed_nets(
     build: BuiltScene,
 ) -> Iterator[tuple[Network, frozenset[str]]]:
-    """Yield networks with nets whose values are prescribed by ideal sources.
+    """Yield networks in which ideal sources replace the parts without equations.
 
-    These nets are connected to unmodelled parts. An unmodelled part is a part without equations,
-    such as a user's netlist. Each item contains a network and the names of the ideal sources, whose
-    values are zero.
+    A part without equations is, for example, a user's netlist. The sources prescribe the value 0 on
+    the nets of these parts. Each item contains a network and the names of all sources.
     """
-    laws, sources = get_scene_laws(build), list[IdealSource]()
+    laws, rest = get_scene_laws(build), Waveform(((0.0, 0.0),))
     try:
-        for net, kind in (find_replayed_nets(laws) or {}).items():
-            rest = Waveform(((0.0, 0.0),))
-            sources.append(IdealSource(f"net {net}", SOURCE_KINDS[kind], rest))
-        by_net = {source.name.removeprefix("net "): source for source in sources}
-        networks = laws.build_networks(by_net) if sources else ()
+        nets = find_replayed_nets(laws) or {}
+        sources = {net: make_net_source(net, kind, rest) for net, kind in nets.items()}
+        networks = laws.build_networks(sources) if sources else ()
     except UsageError:
         return
-    names = frozenset(map(attrgetter("name"), sources))
+    names = frozenset(source.name for source in sources.values())
     for network in networks:
         if not network.has_sources_only and not names.isdisjoint(network.law_names):
             yield network, names
@@ -416,9 +422,9 @@ def _find_mode_shares(motion: ExponentialSolution, driven: Collection[str]) -> n
     modes of high frequency only weakly, as do the high harmonics of a square wave. The result (m,)
     is the largest share of each mode in any waveform, and 0 for modes without resonance.
     """
+    # imported here, because the module loads scipy
     from kc2spice.reference.small_signal_analysis import CANCELLATION_ROUNDING
 
-    # imported here, because the module loads scipy
     modes = motion.modes
     resonant, shares = modes.q_factors > RESONANT_Q, np.zeros(modes.rates.size)
     for k, source in enumerate(motion.linear.system.sources):
@@ -438,25 +444,35 @@ def _find_step_of_modes(
     """Return the largest time step with which modes keep their frequency and damping.
 
     ``rates`` (m,) [1/s] are the poles of the modes, and ``shares`` (m,) their shares in the
-    waveforms. A step changes the pole r of a mode by ``d``. The mode remembers its excitation for
-    the time ``T = min(-1 / Re r, stop)``. The relative change of the waveforms is about ``|d| T``,
-    times the share of the mode.
+    waveforms.
     """
-    lasting = np.minimum(-1 / np.minimum(rates.real, -1e-30), stop)
 
-    def compute_mode_errors(h: float) -> np.ndarray:
+    def compute_waveform_errors(h: float) -> np.ndarray:
         """Compute the relative waveform error of each mode, (m,), for a time step [s]."""
-        return np.asarray(shares * np.abs(rule.rates(rates, h) - rates) * lasting)
+        return shares * _compute_mode_errors(rates, rule, h, stop)
 
     limit = 2 * MODE_AMPLITUDE_ERROR
     h = _bisect_step(
-        lambda h: float(compute_mode_errors(h).max(initial=0.0)) <= limit, stop, start.step
+        lambda h: float(compute_waveform_errors(h).max(initial=0.0)) <= limit, stop, start.step
     )
     if h == start.step:
         return start
-    worst = int(compute_mode_errors(h).argmax())
+    worst = int(compute_waveform_errors(h).argmax())
     quality = abs(rates[worst]) / max(-2 * rates[worst].real, 1e-30)
     return StepLimit(float(f"{h:.3g}"), _describe_resonance(rates[worst], quality))
+
+
+def _compute_mode_errors(
+    rates: np.ndarray, rule: IntegrationRule, h: float, stop: float
+) -> np.ndarray:
+    """Compute the relative error of each mode (m,), for the time step ``h`` [s].
+
+    The step changes the pole r of a mode, an element of ``rates`` (m,) [1/s], by ``d``. The mode
+    remembers its excitation for the time ``T = min(-1 / Re r, stop)``. The relative change of the
+    mode is about ``|d| T``.
+    """
+    lasting = np.minimum(-1 / np.minimum(rates.real, -1e-30), stop)
+    return np.asarray(np.abs(rule.rates(rates, h) - rates) * lasting)
 
 
 def _describe_resonance(rate: complex, quality: float) -> str:

@@ -20,7 +20,7 @@ LIMITS = [
     # layered chips
     (ALONE, "kick.mesh.ring_spacing=1.49 mm; kick.mesh.rings=1",
      "kick.mesh.ring_spacing=1.5 mm; kick.mesh.rings=1", "does not fit on the chip"),
-    (LOOP, "kick.drive.edge=25 us", "kick.drive.edge=25.1 us", "longer than its width"),
+    (LOOP, "kick.drive.edge=25 us", "kick.drive.edge=25.1 us", "longer than the pulse width"),
     (LOOP, "kick.drive.start=0", "kick.drive.start=-1 us", "out of range"),
     (LOOP, "kick.drive.start=4.99 ms", "kick.drive.start=5 ms", "after the simulation"),
     (IMPACT, "kick.drive.start=6 ms", "kick.mounting=free", "the mounting of the chip is free"),
@@ -82,7 +82,7 @@ LIMITS = [
     (CAUGHT, "catch.driver.linear.slew=1", "catch.driver.linear.slew=0", "out of range"),
     # waveforms
     (CELL, "cell.pulse={high=1, width=1e-6, edge=1e-6}",
-     "cell.pulse={high=1, width=1e-6, edge=1.1e-6}", "longer than its width"),
+     "cell.pulse={high=1, width=1e-6, edge=1.1e-6}", "longer than the pulse width"),
     (CELL, "cell.pulse={high=1, width=1e-6, edge=1e-7, period=1.1e-6}",
      "cell.pulse={high=1, width=1e-6, edge=1e-7, period=1.09e-6}", "overlap"),
     (CELL, "cell.pulse={high=1, width=1e-6, period=3e-6, count=1}",

@@ -1223,6 +1223,13 @@ def test_a_number_with_a_prefix_without_quotes_gets_the_unit_of_its_key(cli):
     assert cli("run", "my.toml").exit_code == 0
 
 
+def test_the_word_file_in_the_name_of_a_netlist_is_not_replaced(cli):
+    Path("PROFILE.cir").write_text("a driver\nR1 a 0 1k\n.tran 1u 5m\n.end\n")
+    found = rows(cli("run", "PROFILE.cir").stderr)
+    assert found["next"].startswith("in PROFILE.cir, put the circuit between  .subckt PROFILE NODE")
+    assert 'file = "PROFILE.cir"' in found["next"]
+
+
 def test_a_deck_without_subcircuits_proposes_to_make_one(cli):
     circuit = "V1 in ref 5\nR1 in a 1k\nC1 a ref 10n\n"
     Path("driver.cir").write_text(f"a driver\n{circuit}.tran 1u 5m\n.end\n")

@@ -703,6 +703,10 @@ def test_a_large_sparse_damping_matrix_named_d_stays_sparse(tmp_path):
     assert damped.E.nnz == n
     write_market(tmp_path / "n.E", sparse.coo_array(matrices["D"]))
     refused(tmp_path / "n.K", "too large for a feedthrough matrix", "leave out the matrix D")
+    (tmp_path / "n.E").unlink()
+    (tmp_path / "n.D").unlink()
+    write_market(tmp_path / "n.D", sparse.coo_array((n, n)))
+    refused(tmp_path / "n.K", "too large for a feedthrough matrix", "leave out the matrix D")
 
 
 @pytest.mark.parametrize("letter", ["M", "K"])

@@ -264,15 +264,11 @@ def _warn_of_unused_matrices(
     if files:
         listed = [*files.values(), *settings.files.values(), *(t.file for t in settings.terms)]
         used = {file.resolve() for file in listed if file}
-        found = [*base.parent.glob(f"{glob.escape(base.name)}[._]*.mtx")]
-        key, unknown = (
-            "files",
-            {
-                file.stem[len(base.name) + 1 :]: (file.name, _read_market_shape(file))
-                for file in sorted(found)
-                if file.resolve() not in used and file.stem[len(base.name) + 1 :].isalnum()
-            },
-        )
+        key, unknown = "files", {}
+        for file in sorted(base.parent.glob(f"{glob.escape(base.name)}[._]*.mtx")):
+            name = file.stem[len(base.name) + 1 :]
+            if name.isalnum() and file.resolve() not in used:
+                unknown[name] = file.name, _read_market_shape(file)
     for name, (text, shape) in unknown.items():
         if size < 2 or len(shape) != 2 or size not in shape or name in terms:
             continue
@@ -292,9 +288,9 @@ def _warn_of_unused_matrices(
 
 
 def _read_market_shape(path: Path) -> tuple[int, ...]:
-    """Read the shape of a matrix from the head of a Matrix Market file.
+    """Read the shape of a matrix from the first lines of a Matrix Market file.
 
-    Return an empty tuple if the head contains no shape.
+    Return an empty tuple if the first lines of the file contain no shape.
     """
     lines = _read_head(path).splitlines()
     if not lines or not lines[0].lower().startswith(MARKET_BANNER):
@@ -607,9 +603,8 @@ def _read_matrices(files: dict[str, Path]) -> raw_matrices.RawMatrices:
 
 
 def _read_head(path: Path) -> bytes:
-    """Return the first 2000 bytes of a file, without a byte-order mark."""
-    with raw_matrices.require_file(path).open("rb") as stream:
-        return stream.read(2000).removeprefix(b"\xef\xbb\xbf")
+    """Return the first bytes of a file, without a byte-order mark."""
+    return read_head(raw_matrices.require_file(path)).removeprefix(b"\xef\xbb\xbf")
 
 
 def _parse_row_dofs(data: bytes) -> raw_matrices.Dofs:

@@ -39,6 +39,7 @@ from kc2spice.rom.io import complete_triangle
 from kc2spice.rom.linear_model import (
     LinearModel,
     Port,
+    make_ambiguous_damping_error,
     make_piezoelectric_model,
     stores_one_triangle,
 )
@@ -92,29 +93,28 @@ def _rename_damping_matrix(rows: LabelledMatrices) -> Mapping[str, Matrix]:
     _reject_ambiguous_feedthrough(rows)
     square = C is not None and K is not None and C.shape == K.shape
     if square and "M" in matrices and "E" not in matrices and settings.outputs is None:
-        raise wrong(
+        raise make_ambiguous_damping_error(
+            "C",
+            K.shape[0],  # type: ignore[union-attr]
             rows.where,
-            "it is not stated whether matrix C is the damping matrix or the output matrix",
-            got=f"a square C of {K.shape[0]} rows beside M and K",  # type: ignore[union-attr]
-            expected="a damping matrix with the name E, or one row of C for each output",
-            hint=(
-                f'write damping_matrix = "C" into {rows.name}.toml, or outputs = "C" if every '
-                "unknown is an output"
-            ),
+            "one row of C for each output",
+            f'write damping_matrix = "C" into {rows.name}.toml, or outputs = "C" if every '
+            "unknown is an output",
         )
     for name, role in {"C": "an output matrix", "D": "a feedthrough matrix"}.items():
         if name in matrices and np.prod(matrices[name].shape) > MAX_NARROW_ENTRIES:
+            hint = f"leave out the matrix {name}"
+            if {"M", "E"} <= set(matrices):
+                hint += ", because E is the damping matrix"
+            elif name == settings.outputs:
+                hint = 'if C is the damping matrix, replace  outputs = "C"  by  '
+                hint += f'damping_matrix = "C"  in {rows.name}.toml'
             raise wrong(
                 rows.where,
                 f"the square matrix {name} is too large for {role}",
                 got=f"a matrix {name} of {matrices[name].shape[0]} rows and columns",
                 expected=f"a matrix {name} of at most {MAX_NARROW_ENTRIES} entries",
-                hint=(
-                    f"leave out the matrix {name}, because E is the damping matrix"
-                    if "E" in matrices
-                    else 'if C is the damping matrix, replace  outputs = "C"  by  '
-                    f'damping_matrix = "C"  in {rows.name}.toml'
-                ),
+                hint=hint,
             )
     # With the key ``outputs``, a square C is the output matrix, and the damping matrix E is zero.
     if square and "M" in matrices and "E" not in matrices:
@@ -128,15 +128,13 @@ def _reject_ambiguous_feedthrough(rows: LabelledMatrices) -> None:
     if D is None or K is None or D.shape != K.shape or {"M", "E"} & set(rows.matrices) != {"M"}:
         return
     if find_largest_entry(D):
-        raise wrong(
+        raise make_ambiguous_damping_error(
+            "D",
+            K.shape[0],
             rows.where,
-            "it is not stated whether matrix D is the damping matrix or the feedthrough matrix",
-            got=f"a square D of {K.shape[0]} rows beside M and K",
-            expected="a damping matrix with the name E, or matrices E and D",
-            hint=(
-                f'write damping_matrix = "D" into {rows.name}.toml, or add a zero matrix E if D '
-                "is the feedthrough matrix of an undamped model"
-            ),
+            "matrices E and D",
+            f'write damping_matrix = "D" into {rows.name}.toml, or add a zero matrix E if D '
+            "is the feedthrough matrix of an undamped model",
         )
 
 

@@ -147,7 +147,7 @@ _GROUND_ANGLES = {
     "top": 180,
     "left": 270,
 }
-# Row widths [grid units] in the order of trial, each with suitable paper sizes.
+# Row widths [grid units] in the order in which they are tried, each with suitable paper sizes.
 _ROW_WIDTHS = {105: ("A4",), 150: ("A4", "A3"), 220: ("A3", "A2"), 320: ("A2", "A1", "A0")}
 SHEET_MARGIN = 10
 _LETTER_WIDTH = 0.5  # grid units, average width of a letter

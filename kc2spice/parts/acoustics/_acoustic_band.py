@@ -8,7 +8,7 @@ from kc2spice.scene.highest_frequency import find_highest_frequency
 from kc2spice.scene.scene_classes import GovernedScene
 
 AUDIO_END = 20e3  # Hz, upper end of the band if the sources have no highest frequency
-MAX_BAND_RATIO = 1e4  # largest ratio of the highest to the lowest frequency of a band
+MAX_BAND_RATIO = 1e4  # largest permitted ratio of the highest to the lowest frequency of a band
 
 
 class AcousticBand(NamedTuple):

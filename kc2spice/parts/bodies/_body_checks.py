@@ -91,8 +91,9 @@ STRONG_COUPLING_RATIO = 3.0
 VISIBLE_COUPLING = 0.01
 # largest fraction of a floating electrode's charge that may leak away in the netlist
 MAX_CHARGE_LOSS = 1e-4
-# Largest permitted error of the energy balance, relative to the stored energy.
-# The permitted error is large, because a small piezoelectric chip rings at up to 30 MHz.
+# Largest permitted error of a body's energy balance, relative to the change of the stored energy.
+# The limit is as large as 10 %, because the integration errors of ngspice are large if a small
+# piezoelectric chip rings at frequencies of up to 30 MHz.
 MAX_STORED_SHARE = 0.1
 # A force or energy counts as zero if it is below this fraction of its largest value.
 # The rounding errors of forces and energies are far below this fraction.

@@ -106,7 +106,7 @@ class BodyPorts(TouchablePart[LinearKeysT]):
             known |= {HEAT, AMBIENT}
         if missing := sorted(names - known):
             raise _make_missing_port_error(part, missing[0], every, scene)
-        if scene.ports == "declared" and part.declares_ports:
+        if scene.ports == "declared" and part.has_declared_ports:
             return every
         used = [p for p in every if p.kind not in SINGLE_PIN_KINDS or names & _list_scene_names(p)]
         return tuple(used) or every[:1]
@@ -217,8 +217,8 @@ class BodyPorts(TouchablePart[LinearKeysT]):
         """Return the surface on which a contact presses; None without mechanical ports."""
         mechanical = list_names(select_mechanical_ports(self.ports(part, scene)))
         names = ports or tuple(mechanical[:1])
-        missing = [*filterfalse(mechanical.__contains__, names)]
-        _reject_missing_ports(part, missing, mechanical, "mechanical ")
+        for name in filterfalse(mechanical.__contains__, names):
+            raise unknown(f"{part.name} has no such mechanical port", name, mechanical, part.name)
         if not names:
             return None
         modulus = self.indentation_modulus(part)
@@ -227,17 +227,6 @@ class BodyPorts(TouchablePart[LinearKeysT]):
     def indentation_modulus(self, part: Part[LinearKeysT]) -> float | None:
         """Return the indentation modulus [Pa] of the body's surface; None if unknown."""
         return None
-
-
-def _reject_missing_ports(
-    part: Part, missing: Sequence[str], known: Sequence[str], kind: str = ""
-) -> None:
-    """Raise an error that names a port which the part does not have.
-
-    If the list ``missing`` is empty, there is no error.
-    """
-    for name in missing:
-        raise unknown(f"{part.name} has no such {kind}port", name, known, part.name)
 
 
 def _make_missing_port_error(

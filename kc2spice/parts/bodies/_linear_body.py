@@ -190,7 +190,7 @@ class LinearBody(BodyChecks[LinearKeysT]):
         if unused:
             what = f"{part.name}: ports {', '.join(unused)}"
             why = "no part or probe uses them"
-            if part.declares_ports:
+            if part.has_declared_ports:
                 why = "not connected: a run omits them, an export includes them"
             yield NeglectedEffect(what, why, "none")
         if has_complex_constants(part):

@@ -490,6 +490,7 @@ class BondedBody(MeshedBody[FieldKeysT]):
         """
         yield from super().problems(part, scene)
         layers, width = getattr(part.keys, "layers", ()), getattr(part.keys, "width", None)
+        bonded = self.make_bonded_blocks(part)
         result = [
             (
                 width or layer.diameter,
@@ -497,12 +498,11 @@ class BondedBody(MeshedBody[FieldKeysT]):
                 block.material.is_piezoelectric,
                 getattr(layer, "electrodes", None),
             )
-            for layer, block in zip(layers, self.make_bonded_blocks(part).blocks, strict=False)
+            for layer, block in zip(layers, bonded.blocks, strict=False)
         ]
         yield from check_layers(f"{part.name}.layers", result, plate=width is None)
-        blocks = self.make_bonded_blocks(part)
-        materials = [block.material for block in blocks.blocks]
-        yield from check_q_factor(part.name, blocks.damping, materials)
+        materials = [block.material for block in bonded.blocks]
+        yield from check_q_factor(part.name, bonded.damping, materials)
 
     def outline(self, part: Part[FieldKeysT], scene: Scene) -> Iterator[Shape]:
         """Yield the side view of the bonded blocks; the top is at height zero.

@@ -196,7 +196,7 @@ class SoundingBody(LinearBody[FieldKeysT]):
         result = super().build(part, scene, clock, full)
         facing = {} if full else self.facing_fluids(part, scene)
         if facing:
-            self._warn_of_larger_radiators(part, scene, result)
+            self._warn_of_larger_radiators(part, scene, facing, result)
             for port, levels in self.estimate_level_effects_by_port(part, scene).items():
                 name = f"{part.name}.{port}"
                 text = describe_piston_difference(name, facing[port], levels)
@@ -205,17 +205,22 @@ class SoundingBody(LinearBody[FieldKeysT]):
         return result
 
     def _warn_of_larger_radiators(
-        self, part: Part[FieldKeysT], scene: Scene, model: LinearModel | None
+        self,
+        part: Part[FieldKeysT],
+        scene: Scene,
+        facing_fluids: Mapping[str, FluidAtFace],
+        model: LinearModel | None,
     ) -> None:
         """Warn about each radiating piston that is larger than the face to which it is joined.
 
-        Faces that several parts drive are not compared with the piston.
+        ``facing_fluids`` contains the fluid at each face, keyed by port. A face that several parts
+        drive is not compared with its piston.
         """
         from kc2spice.bodies.solid_models import get_area_key
 
         if model is None or self.has_mirror_planes(part):
             return
-        for port, facing in self.facing_fluids(part, scene).items():
+        for port, facing in facing_fluids.items():
             keys, area = facing.radiation, model.facts.get(get_area_key(port))
             pins = scene.list_joined_pins(part.name, port)
             others = {name for name, _ in pins} - set(facing.names)

@@ -510,9 +510,9 @@ def _reject_axes_outside_section(keys: BodyKeys) -> None:
                 hint=HEIGHT_HINT.format(action='write  axis = "z"'),
             )
     for number, support in enumerate(keys.fixed):
-        if isinstance(support, SupportKeys) and "y" in support.axes:
-            if set(support.axes) == set("xyz"):
-                continue
+        if not isinstance(support, SupportKeys) or set(support.axes) == set("xyz"):
+            continue
+        if "y" in support.axes:
             axes = support.axes.replace("z", "").replace("y", "z")
             raise make_invalid_value_error(
                 "an axisymmetric body has no displacement along y",

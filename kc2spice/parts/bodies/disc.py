@@ -213,7 +213,8 @@ class DiscKeys(FieldKeys):
     def _require_fitting_support(self) -> DiscKeys:
         """Reject a support or a centre port that is larger than the disc."""
         widest = format_quantity(self.largest_diameter, "m")
-        top, top_text = self.layers[-1].diameter, format_quantity(self.layers[-1].diameter, "m")
+        top = self.layers[-1].diameter
+        top_text = format_quantity(top, "m")
         if isinstance(self.support, KnifeEdgeSupport) and self.support.node > self.largest_diameter:
             raise make_invalid_value_error(
                 f"support: the nodal circle is outside of the body, whose diameter is {widest}",

@@ -131,10 +131,10 @@ class KickPulse(Section):
 
     @model_validator(mode="after")
     def _require_edges_within_width(self) -> KickPulse:
-        """Reject a pulse whose edges are longer than its width."""
+        """Reject a pulse whose edge time is longer than the pulse width."""
         if self.edge > self.width:
             raise make_invalid_value_error(
-                "the pulse has an edge that is longer than its width",
+                "the edge time of the pulse is longer than the pulse width",
                 None,
                 hint=f"lower the key `edge` to {self.width / 10:g} s",
             )
@@ -315,21 +315,13 @@ class PiezoStack(MeshedBody[PiezoStackKeys]):
             names = ports or tuple(list_ring_names(len(radii)))
             rings = list(map(partial(_read_ring_number, part), names))
             distance = tuple(radii[rings].tolist())
-            return ContactSurface(
-                part.name,
-                names,
-                distance,
-                sectors=SECTORS,
-                modulus=modulus,
-                half_width=min(part.keys.half_widths),
-            )
+            return ContactSurface(part.name, names, distance, sectors=SECTORS, modulus=modulus)
         return ContactSurface(
             part.name,
             (PATCH_PORT,),
             (0.0,),
             sectors=SECTORS,
             patch=float(shape.nodes[-1]),
-            half_width=min(part.keys.half_widths),
             compliance=partial(_find_compliance, part),
             pace=part.keys.damping.beta,
             modulus=modulus,

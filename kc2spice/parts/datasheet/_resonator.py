@@ -352,9 +352,9 @@ class ResonatorPart(PartWithPartNumber[KeysT]):
         The exact charge is the response of the circuit to the recorded voltage. The losses are the
         work of the voltage on the exact charge minus the increase of the stored energy.
         """
+        # imported here, because the module loads scipy
         from kc2spice.rom.modal_models import compute_resonators, simulate_resonators
 
-        # imported here, because the module loads scipy
         time, voltage = waves["time"], waves[f"{part.name}.voltage"]
         current = waves[f"{part.name}.current"]
         model = compute_resonators(self._make_linear_model(part, build))

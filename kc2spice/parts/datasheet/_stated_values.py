@@ -18,7 +18,7 @@ from functools import cached_property
 
 import numpy as np
 
-from kc2spice.core.errors import UsageError, join_first
+from kc2spice.core.errors import UsageError, join_first, join_words
 
 VALUE_ROUNDING = 0.005  # largest relative rounding error of a value with three significant digits
 # Step of the central differences of logarithms.
@@ -186,7 +186,7 @@ class StatedValues:
             where=self.part,
             got=", ".join(self.stated) or "no value",
             expected=f"{missing} more value{'s' * (missing > 1)} of {join_first(useful)}",
-            hint=hints[0] if hints and missing == 1 else f"add {_join_words(chosen[:missing])}",
+            hint=hints[0] if hints and missing == 1 else f"add {join_words(chosen[:missing])}",
         )
 
     def _require_solution(self, x: np.ndarray) -> None:
@@ -350,8 +350,3 @@ class StatedValues:
             f"{texts[other]}, as computed from {key} and the other values",
             hint=hint,
         )
-
-
-def _join_words(words: list[str]) -> str:
-    """Join words with commas, and with ``and`` before the last word."""
-    return " and ".join(filter(None, (", ".join(words[:-1]), words[-1])))

@@ -236,9 +236,9 @@ class SourceKeys(Section):
             high = convert_quantity(p.high, unit, where="pulse.high")
             if p.width < p.edge or p.edge <= 0:
                 raise UsageError(
-                    "the pulse has an edge that is longer than its width",
+                    "the edge time of the pulse is longer than the pulse width",
                     where="pulse",
-                    expected=f"an edge above zero and of at most the width, {p.width:g} s",
+                    expected=f"an edge time above zero and at most the pulse width, {p.width:g} s",
                     hint=f"lower pulse.edge to {p.width / 10:g} s" if p.width > 0 else None,
                 )
             if p.period is not None and p.period < p.width + p.edge:

@@ -26,7 +26,6 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import EPSILON_0
 from kc2spice.core.si_prefix_format import format_quantity
 from kc2spice.physics import Declaration
-from kc2spice.physics.symbolic_algebra import evaluate_tree
 from kc2spice.scene.checks import Check
 from kc2spice.scene.part_records import NeglectedEffect
 from kc2spice.scene.scene_classes import Part, Scene
@@ -90,16 +89,10 @@ def check_stop_indentation(
 
     ``known`` contains the recorded waveforms of coordinates, keyed by name.
     """
-    keys, d = part.keys, declaration
-    values = d.compute_parameter_values(keys) | dict(known)
-    depths = [
-        float(np.max(evaluate_tree(tree, values)))
-        for what, tree in d.trees_by_stop.items()
-        if d.stop_variables[what] <= known.keys()
-    ]
+    keys, depths = part.keys, declaration.compute_stop_depths(part.keys, known)
     if not depths or "v" not in known:
         return
-    remaining, depth = keys.gap - keys.travel, max(*depths, 0.0)
+    remaining, depth = keys.gap - keys.travel, max(*depths.values(), 0.0)
     volts = float(np.max(np.abs(known["v"])))
     field = EPSILON_0 * keys.permittivity * keys.area * volts**2
     stiffness = STIFFNESS_MARGIN * max(

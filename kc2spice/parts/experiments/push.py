@@ -128,7 +128,7 @@ class Push(TouchablePart[PushKeys]):
         return {f"{part.name}.depth": replace(bottom, factor=-bottom.factor)}
 
     def numerics(self, part: Part[PushKeys], scene: WiredScene) -> Iterator[NumericalRequirements]:
-        """Yield numerical requirements: tolerances that resolve when contact rings close."""
+        """Yield numerical requirements: tolerances for the closing of contact rings."""
         last = "1e-09", "the contact law is piecewise linear, so the last iteration is exact"
         if _find_contact(part, scene).keys.shape == "pressure":
             last = (
