@@ -7,6 +7,8 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, NoReturn
 
+from kc2spice.core.key_actions import ChangeKey, Direction, Hint, KeyAction, Preposition
+
 # largest length, in characters, of a word that is compared with other words
 MAX_COMPARED_LENGTH = 200
 MAX_CANDIDATES = 5  # largest number of candidates that an error lists
@@ -27,7 +29,7 @@ class Kc2spiceError(Exception):
     message : the mistake in one sentence.
     where : file, key, line or part that the message is about.
     got, expected : the faulty value and the accepted values.
-    hint : the next action.
+    hint : the next action, as a text or as a change of a key.
     """
 
     exit_code = 1
@@ -39,11 +41,37 @@ class Kc2spiceError(Exception):
         where: str | None = None,
         got: object = None,
         expected: str | None = None,
-        hint: str | None = None,
+        hint: Hint | None = None,
     ) -> None:
         super().__init__(message)
         self.message, self.where = message, where
-        self.got, self.expected, self.hint = got, expected, hint
+        self.got, self.expected = got, expected
+        self._hint = hint
+
+    @property
+    def hint(self) -> str | None:
+        """Text of the next action; a change of a key is written as in a TOML file."""
+        return None if self._hint is None else str(self._hint)
+
+    @hint.setter
+    def hint(self, hint: Hint | None) -> None:
+        self._hint = hint
+
+    @property
+    def action(self) -> KeyAction | None:
+        """Next action as data if the action changes a key, otherwise None."""
+        return None if isinstance(self._hint, str) else self._hint
+
+    @property
+    def next_action(self) -> Hint | None:
+        """Next action as data if the action changes a key, otherwise the text of the hint."""
+        return self._hint
+
+    @property
+    def text_arguments(self) -> dict[str, Any]:
+        """Constructor arguments of an equal error, with the hint as plain text."""
+        names = ("message", "where", "got", "expected", "hint")
+        return {name: getattr(self, name) for name in names}
 
     def __str__(self) -> str:
         head = f"{self.where}: {self.message}" if self.where else self.message
@@ -121,7 +149,7 @@ def wrong(
     problem: str,
     got: object = None,
     expected: str | None = None,
-    hint: str | None = None,
+    hint: Hint | None = None,
 ) -> UsageError:
     """Make a :class:`UsageError` about a wrong file, key or value.
 
@@ -134,7 +162,7 @@ def wrong(
 # Each key contains the first words of a limit, such as "at most" in the limit "at most 5 m".
 # Each value contains the verb and the preposition of the hint, such as "lower" and "to".
 # For the limit "at most 5 m", for example, the hint is "lower KEY to 5 m".
-_LIMIT_ACTIONS = {
+_LIMIT_ACTIONS: dict[str, tuple[Direction, Preposition]] = {
     "at most": ("lower", "to"),
     "at least": ("raise", "to"),
     "less than": ("lower", "below"),
@@ -145,20 +173,20 @@ _LIMIT_ACTIONS = {
 }
 
 
-def advise_limit(where: str | None, expected: str | None) -> str | None:
+def advise_limit(where: str | None, expected: str | None) -> ChangeKey | None:
     """Return advice on how to change a key so that its value satisfies a limit.
 
-    >>> advise_limit("gap.travel", "less than the gap, 1e-06 m")
-    'lower travel below 1e-06 m'
-    >>> advise_limit("listener.angle", "at most 90 degrees")
-    'lower angle to 90 degrees'
+    >>> print(advise_limit("gap.travel", "less than the gap, 1e-06 m"))
+    lower travel below 1e-06 m
+    >>> print(advise_limit("listener.angle", "at most 90 degrees"))
+    lower angle to 90 degrees
     """
     limit = _LIMIT.match(expected or "")
     if not where or limit is None:
         return None
-    action, preposition = _LIMIT_ACTIONS[limit[1]]
+    verb, preposition = _LIMIT_ACTIONS[limit[1]]
     key = where.rpartition(" ")[2].rpartition(".")[2].removeprefix("--")
-    return f"{action} {key} {preposition} {limit[2]}"
+    return ChangeKey(verb, key, preposition, limit[2])
 
 
 # Pattern of a limit with a number, such as "at most 5 m" or "less than the gap, 1e-06 m".

@@ -6,7 +6,7 @@ import contextlib
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, TypeAlias, TypeVar, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
@@ -14,7 +14,8 @@ from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
 from kc2spice.core.errors import UsageError, did_you_mean, list_candidates, normalise_word
-from kc2spice.core.quantities import Section, convert_quantity
+from kc2spice.core.key_actions import ChangeKey, DeleteKey, Hint, Preposition, SetKey, SweepKey
+from kc2spice.core.quantities import ONE_VALUE, Section, convert_quantity
 from kc2spice.core.schemas import (
     KeyPath,
     find_section,
@@ -31,21 +32,26 @@ from kc2spice.core.synonyms_from_other_programs import (
     REPLACED_KEYS,
 )
 from kc2spice.core.toml_text import display_text, format_toml, quote_value
-from kc2spice.core.unit_spelling import convert_percentage
+from kc2spice.core.unit_spelling import convert_percentage, is_list_of_quantities
 from kc2spice.core.untrusted_files import make_identifier
 
 Schema = TypeVar("Schema", bound=Section)
-Explanation: TypeAlias = tuple[str, str | None, str | None]  # message, expected and hint
+Explanation: TypeAlias = tuple[str, str | None, Hint | None]  # message, expected and hint
 
 # Steps of a pydantic path that name a member of a union, such as ``dict[str,float]``, not a key.
 _UNION_MEMBER = re.compile(r"\]$|^(float|int|str|bool)$|^[A-Z]\w*Keys$")
 # Unit vectors of the coordinate axes x, y and z, as TOML lists.
 _AXIS_VECTORS = {"x": "[1, 0, 0]", "y": "[0, 1, 0]", "z": "[0, 0, 1]"}
+# pydantic errors about a value that is not a number
+_NUMBER_ERRORS = ("float_type", "float_parsing", "int_type", "int_parsing")
 # message about a number that exceeds a limit of its key
 OUT_OF_RANGE = "out of range"
 UNKNOWN_KEY = "unknown key"  # message about a key that its table may not contain
 # A limit of a key is extreme if it differs from the usual value by more than this factor.
 USEFUL_RATIO = 1e3
+_PREPOSITIONS: dict[str, Preposition] = {
+    "gt": "above", "ge": "to", "lt": "below", "le": "to"
+}  # fmt: skip
 _LIMIT_SIGNS = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
 # Keys whose text must be one line, because a line break would begin a statement of the netlist.
 _SINGLE_LINE_KEYS = ("title", "include")
@@ -106,6 +112,7 @@ def describe_invalid_key(
                and item["loc"][:-1] == result["loc"][:-1]]  # fmt: skip
     path = tuple(step for step in result["loc"] if not _UNION_MEMBER.search(str(step)))
     typed = _find_typed_value(table, path, result["input"])
+    table_path = (*at, *path)
     # if the validator of a table found the error, the context contains the invalid key
     if key := result.get("ctx", {}).get("key"):
         below = tuple(int(step) if step.isdecimal() else step for step in key.split("."))
@@ -118,6 +125,13 @@ def describe_invalid_key(
         return full_path, {
             "message": message, "got": display_text(typed), "expected": expected, "hint": hint
         }  # fmt: skip
+    if isinstance(hint, SetKey) and not hint.table and kind == "quantity":
+        # the validator of a table does not know the name of the table
+        table_name = join_path(table_path)
+        hint = replace(hint, table=table_name, place=None if table_name else "")
+    is_one_number = message == ONE_VALUE or kind in _NUMBER_ERRORS
+    if is_one_number and is_list_of_quantities(typed):
+        message, hint = ONE_VALUE, SweepKey(join_path(full_path), tuple(typed))
     # if two keys contradict each other, the message contains the reason, and no value is quoted
     reason_only = kind == "value_error" or (kind == "quantity" and expected is None)
     contradicts = reason_only and isinstance(typed, Mapping)
@@ -217,7 +231,7 @@ def _explain_unknown_key(invalid: _InvalidValue) -> Explanation:
     word, names = str(path[-1]), [step for step in path[:-1] if isinstance(step, str)]
     all_keys = (join_path(item) for item, _ in list_keys(schema) if [*item[: len(names)]] == names)
     elsewhere = (item for item in all_keys if item.rpartition(".")[2] == word)
-    hint = (
+    hint: Hint = (
         _list_replacement_hints(table).get(word)
         or _suggest_key(word, fields)
         or did_you_mean(word, fields)
@@ -235,11 +249,11 @@ def _explain_missing_key(invalid: _InvalidValue) -> Explanation:
     return message, *_explain_missing(invalid.schema, invalid.schema_path, invalid.path)
 
 
-def _suggest_key_replacement(word: str, missing: Sequence[str]) -> str:
+def _suggest_key_replacement(word: str, missing: Sequence[str]) -> Hint:
     """Suggest that the user replaces an unknown key by the missing key, or deletes it."""
     if len(missing) == 1:
         return f"write {missing[0]} in place of {word}, because the key `{missing[0]}` is missing"
-    return f"delete {word}"
+    return DeleteKey(word)
 
 
 def _suggest_key(word: str, fields: Sequence[str]) -> str | None:
@@ -271,7 +285,7 @@ def _list_replacement_hints(table: type[BaseModel]) -> Mapping[str, str]:
 
 def _explain_missing(
     schema: type[BaseModel], path: KeyPath, full_path: KeyPath
-) -> tuple[str | None, str | None]:
+) -> tuple[str | None, SetKey]:
     """Return the accepted values of a missing key, and the hint to add the key."""
     unit = _find_unit(schema, path)
     table = join_path(full_path[:-1])
@@ -284,9 +298,8 @@ def _explain_missing(
         value = f'"{choices[0]}"' if choices else _write_example(field)
         if choices:
             listed = f"one of {list_candidates('', map(str, choices))}"
-    destination = f"  to {table}" if table else ""
     expected = f"a number in {unit}, or a string with a unit such as {value}" if unit else listed
-    return expected, f"add  {full_path[-1]} = {value}{destination}"
+    return expected, SetKey(table, str(full_path[-1]), value, verb="add", place=table)
 
 
 def _suggest_quantity(schema: type[BaseModel], path: KeyPath, unit: str) -> str:
@@ -400,7 +413,7 @@ def _is_extreme(bound: float, usual: float, lower: bool) -> bool:
     return 0 < bound < usual / USEFUL_RATIO if lower else bound > usual * USEFUL_RATIO > 0
 
 
-def _suggest_fraction(invalid: _InvalidValue) -> str | None:
+def _suggest_fraction(invalid: _InvalidValue) -> Hint | None:
     """Suggest the fraction that the user meant by a percentage, such as 0.05 for 5 %.
 
     The result is None if the key is no fraction, or if the key is usually stated in ppm.
@@ -413,12 +426,12 @@ def _suggest_fraction(invalid: _InvalidValue) -> str | None:
     fraction = convert_percentage(value)
     if fraction is None or fraction >= bound:
         return None
-    return f"for {value:g} %, write  {_write_assignment_in_table(invalid.path, f'{fraction:g}')}"
+    return _make_assignment(invalid.path, f"{fraction:g}", begin=f"for {value:g} %, ")
 
 
 def _suggest_value(
     path: KeyPath, value: object, limits: Mapping[str, float], unit: str, usual: float | None
-) -> str:
+) -> Hint:
     """Advise how to change the value of a key, so that it satisfies the key's limits.
 
     ``usual`` is the default value of the key, or None without a default. The advice proposes the
@@ -430,9 +443,9 @@ def _suggest_value(
         return "remove the minus sign"
     if usual is not None and _is_extreme(bound, usual, lower):
         written = format_toml(f"{usual:g} {unit}" if unit else usual)
-        return f"write  {_write_assignment_in_table(path, written)}"
-    key, preposition = join_path(path), {"gt": "above", "lt": "below"}.get(kind, "to")
-    return f"{'raise' if lower else 'lower'} {key} {preposition} {bound:g} {unit}".rstrip()
+        return _make_assignment(path, written)
+    limit = f"{bound:g} {unit}".rstrip()
+    return ChangeKey("raise" if lower else "lower", join_path(path), _PREPOSITIONS[kind], limit)
 
 
 # --- tables and lists ---
@@ -539,15 +552,17 @@ def _write_assignment(path: KeyPath, value: str) -> str:
     return f"{value}  as entry {last + 1} of {names[-1]}"
 
 
-def _write_assignment_in_table(path: KeyPath, value: str) -> str:
-    """Return the text that sets a key to a value, with the name of the table if it has a header.
+def _make_assignment(path: KeyPath, value: str, begin: str = "") -> Hint:
+    """Propose to set a key to a value; name the table if the table has a header.
 
-    >>> _write_assignment_in_table(("disc", "rom", "tolerance"), "0.05")
-    'tolerance = 0.05  in [disc.rom]'
+    >>> print(_make_assignment(("disc", "rom", "tolerance"), "0.05"))
+    write  tolerance = 0.05  in [disc.rom]
     """
-    text = _write_assignment(path, value)
+    if not isinstance(path[-1], str):
+        return f"{begin}write  {_write_assignment(path, value)}"
     has_header = len(path) > 1 and all(isinstance(step, str) for step in path)
-    return f"{text}  in [{join_path(path[:-1])}]" if has_header else text
+    table = join_path(path[:-1])
+    return SetKey(table, path[-1], value, place=None if has_header else "", begin=begin)
 
 
 def _write_entry(schema: type[BaseModel], typed: object) -> str:

@@ -21,6 +21,7 @@ from pydantic_core import PydanticCustomError
 
 from kc2spice.core.domains import QUANTITIES
 from kc2spice.core.errors import UsageError, did_you_mean
+from kc2spice.core.key_actions import Hint
 from kc2spice.core.unit_spelling import give_example, is_range_or_list, suggest_spelling
 from kc2spice.core.units import MAX_QUANTITY_LENGTH, parse_quantity, parse_unit
 
@@ -32,6 +33,10 @@ MU_0 = 4e-7 * math.pi  # H/m
 BOLTZMANN = 1.380649e-23  # J/K, exact (SI, 2019)
 DEFAULT_TEMPERATURE = 300.15  # K, default temperature of a simulation (27 °C in SPICE)
 ELEMENTARY_CHARGE = 1.602176634e-19  # C, exact (SI, 2019)
+
+
+# message about several values in place of one value
+ONE_VALUE = "this key accepts one value, not a range or a list"
 
 
 def convert_quantity(value: object, si: str, *, where: str | None = None) -> float:
@@ -62,7 +67,7 @@ def convert_quantity(value: object, si: str, *, where: str | None = None) -> flo
             "this value is not a finite number" if isinstance(error, OverflowError) else str(error)
         )
         if is_range_or_list(value):
-            message = "this key accepts one value, not a range or a list"
+            message = ONE_VALUE
         expected = expected if si else "a plain number"
         hint = suggest_spelling(value, si)
         raise UsageError(message, where=where, got=got, expected=expected, hint=hint) from None
@@ -70,7 +75,7 @@ def convert_quantity(value: object, si: str, *, where: str | None = None) -> flo
 
 
 def make_invalid_value_error(
-    reason: str, expected: str | None, key: str | None = None, hint: str | None = None
+    reason: str, expected: str | None, key: str | None = None, hint: Hint | None = None
 ) -> PydanticCustomError:
     """Make the error that a validator raises for an invalid value of a key."""
     context = {"reason": reason, "expected": expected, "key": key, "hint": hint}

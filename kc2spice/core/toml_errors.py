@@ -169,8 +169,9 @@ def _make_other_format_error(text: str, label: str) -> UsageError | None:
             name = f"{NETLIST} without .subckt"
             subcircuit = make_identifier(Path(label).stem, "circuit")
             action = (
-                f"in {label}, put the circuit between  .subckt {subcircuit} NODE ref  and  .ends, "
-                f"without title, analysis and .end lines; then {action}"
+                f"in {label}, put the circuit between  .subckt {subcircuit} NODE1 NODE2 ref  and  "
+                f".ends, without title, analysis and .end lines; name its reference node `ref`; "
+                f"then {action}"
             )
     if not name and not label.endswith(".toml"):
         other = identify_format(text[:HEAD_BYTES].encode(), Path(label).suffix)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import contextlib
 import math
 import re
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple, TypeGuard
 
 from kc2spice.core.units import (
     MAX_QUANTITY_LENGTH,
@@ -61,8 +62,26 @@ _EXAMPLES = {
 
 
 def is_range_or_list(value: object) -> bool:
-    """Return whether a text is a range such as 1 g:2 g:5, or a list such as 1 g,2 g."""
-    return isinstance(value, str) and _find_first_value(value) is not None
+    """Return whether a value is a range such as 1 g:2 g:5, or a list such as 1 g,2 g."""
+    if isinstance(value, str):
+        return _find_first_value(value) is not None
+    return is_list_of_quantities(value)
+
+
+def is_list_of_quantities(value: object) -> TypeGuard[Sequence[str | float]]:
+    """Return whether a value is a list of at least two numbers, with or without units.
+
+    >>> is_list_of_quantities([1, "2 Ohm"]), is_list_of_quantities([1]), is_list_of_quantities("1")
+    (True, False, False)
+    """
+    return isinstance(value, (list, tuple)) and len(value) > 1 and all(map(_is_quantity, value))
+
+
+def _is_quantity(value: object) -> bool:
+    """Return whether a value is a number, or a text with a number and perhaps a unit."""
+    if isinstance(value, str):
+        return len(value) <= MAX_QUANTITY_LENGTH and bool(NUMBER_WITH_UNIT.fullmatch(value.strip()))
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
 
 
 def _find_first_value(text: str) -> str | None:

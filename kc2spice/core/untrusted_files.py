@@ -424,7 +424,7 @@ def _run_in_child(function: str, memory: str, seconds: str) -> None:
         np.savez(RESULT_ARRAYS_FILE, **call(**json.loads(line)))
     except Exception as error:  # a parser may raise any exception for a damaged file
         text = " ".join(str(error).split())[:300] or type(error).__name__
-        attributes = vars(error) if isinstance(error, Kc2spiceError) else {"message": text}
+        attributes = error.text_arguments if isinstance(error, Kc2spiceError) else {"message": text}
         record = (type(error).__name__, attributes)
         Path(ERROR_FILE).write_text(json.dumps(record, default=str), encoding="utf-8")
         os._exit(1)

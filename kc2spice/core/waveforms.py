@@ -21,6 +21,7 @@ from pydantic import Field
 
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import UsageError
+from kc2spice.core.key_actions import DeleteKey
 from kc2spice.core.quantities import Count, Frequency, Section, Time
 
 # Largest number of pulses in a finite pulse train.
@@ -407,7 +408,7 @@ def make_pulse_waveform(
             "count is not a number of pulses",
             got=count,
             expected=f"1 to {MAX_PULSES}; without a count the train has no end",
-            hint="delete the key `count`",
+            hint=DeleteKey("count"),
         )
     edges = ((0.0, low), (edge, high), (width, high), (width + edge, low))
     corners = tuple((start + t, v) for t, v in edges)

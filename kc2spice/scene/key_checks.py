@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 import re
-import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import chain
 from math import inf
 from operator import attrgetter
 
 from kc2spice.core.errors import UsageError, join_words, list_candidates
+from kc2spice.core.key_actions import DeleteKey, SetKey
 from kc2spice.core.probe_values import make_outside_error
 from kc2spice.core.quantities import USUAL_GRAVITY, convert_quantity
 from kc2spice.core.schemas import KeyPath, find_unit, join_path
@@ -18,7 +18,6 @@ from kc2spice.core.si_prefix_format import format_quantity
 from kc2spice.core.toml_text import format_toml
 from kc2spice.core.user_warnings import warn_user
 from kc2spice.core.waveforms import Waveform
-from kc2spice.scene.overrides import is_option
 from kc2spice.scene.part_method_calls import PERIOD_TOLERANCE
 from kc2spice.scene.plausibility import (
     ImplausibleValueError,
@@ -181,7 +180,7 @@ def _check_largest_step(scene: Scene) -> Iterator[UsageError]:
             where=where,
             got=format_quantity(scene.stop_time, "s"),
             expected=f"at least `solver.max_step`, {format_quantity(step, 's')}",
-            hint=f'write  {key} = "{format_quantity(USUAL_STEPS * step, "s")}"  in [{table}]',
+            hint=SetKey(table, key, f'"{format_quantity(USUAL_STEPS * step, "s")}"'),
         )
     elif step > scene.stop_time:
         yield UsageError(
@@ -189,7 +188,7 @@ def _check_largest_step(scene: Scene) -> Iterator[UsageError]:
             where="solver.max_step",
             got=f"{step:g} s",
             expected=f"at most the duration of the simulation, {scene.stop_time:g} s",
-            hint="delete the key `max_step` of [solver]",
+            hint=DeleteKey("max_step", place="[solver]"),
         )
     points = scene.stop_time / step
     if points > MAX_TIME_POINTS:
@@ -224,9 +223,10 @@ def _check_sweep_keys(scene: Scene) -> Iterator[UsageError]:
             yield UsageError(
                 "the key `back` needs a dc sweep of a source",
                 where="analysis.back",
-                got=f"{selected.type} of {selected.sweep}",
+                got=f'type = "{selected.type}", '
+                + (f'sweep = "{selected.sweep}"' if selected.sweep else "no key sweep"),
                 expected='type = "dc" and sweep = "SOURCE.dc", or back = false',
-                hint="delete the key `back`",
+                hint=DeleteKey("back"),
             )
 
 
@@ -242,7 +242,7 @@ def _check_frequencies(scene: Scene) -> Iterator[UsageError]:
             where="analysis",
             got=f'type = "{selected.type}" without stop',
             expected='the last frequency, such as stop = "100 kHz"',
-            hint='add  stop = "100 kHz"  to [analysis]',
+            hint=SetKey("analysis", "stop", '"100 kHz"', verb="add"),
         )
     elif not stop - start > SMALLEST_STEP_RATIO * selected.points * stop:
         yield UsageError(
@@ -266,7 +266,7 @@ def _check_frequencies(scene: Scene) -> Iterator[UsageError]:
             where="analysis.start",
             got=f"{start:g} Hz",
             expected='above 0, or scale = "linear"',
-            hint='write  scale = "linear"  in [analysis] for equal steps from 0 Hz on',
+            hint=SetKey("analysis", "scale", '"linear"', end=" for equal steps from 0 Hz on"),
         )
     if selected.scale != "log":
         return
@@ -297,7 +297,7 @@ def _check_noise_output(selected: Analysis) -> Iterator[UsageError]:
             where="analysis",
             got='type = "noise" without output',
             expected=expected,
-            hint='add  output = "PART.RESULT"  to [analysis]',
+            hint=SetKey("analysis", "output", '"PART.RESULT"', verb="add"),
         )
     elif selected.type != "noise" and selected.output is not None:
         yield UsageError(
@@ -305,7 +305,7 @@ def _check_noise_output(selected: Analysis) -> Iterator[UsageError]:
             where="analysis.output",
             got=f'type = "{selected.type}", output = "{selected.output}"',
             expected=expected,
-            hint="delete the key `output` of [analysis]",
+            hint=DeleteKey("output", place="[analysis]"),
         )
 
 
@@ -318,7 +318,7 @@ def _check_noise_start(selected: Analysis) -> Iterator[UsageError]:
             where="analysis.start",
             got=f"{start:g} Hz",
             expected=f"above 0 Hz and below the stop, {format_quantity(stop, 'Hz')}",
-            hint=f'add  start = "{stop / 1000:g} Hz"  to [analysis]',
+            hint=SetKey("analysis", "start", f'"{stop / 1000:g} Hz"', verb="add"),
         )
 
 
@@ -340,9 +340,9 @@ def _check_swept_key(scene: Scene) -> Iterator[UsageError]:
             where="analysis" if missing else "analysis.sweep",
             got='type = "dc" without sweep' if missing else repr(selected.sweep),
             expected=f"PART.dc of a source of the scene: {listed}",
-            hint=f'write  sweep = "{sources[0]}.dc"  in [analysis]'
+            hint=SetKey("analysis", "sweep", f'"{sources[0]}.dc"')
             if sources
-            else 'write  type = "op"  in [analysis], which needs no source',
+            else SetKey("analysis", "type", '"op"', end=", which needs no source"),
         )
     unit = _find_independent_variable_unit(scene)
     for key, value in (("from", selected.from_), ("to", selected.to)):
@@ -419,9 +419,14 @@ def _advise_analysis_keys(scene: Scene, unused: Sequence[str]) -> str:
     if source is not None and source.overrides_key("analysis.type"):
         stated = scene.tables.get("analysis", {})
         table = {key: value for key, value in stated.items() if key not in unused} | added
-        if is_option(source.overrides["analysis", "type"]):
-            text = shlex.quote(f"analysis={format_toml(table)}")
-            return f"write  --set {text}  in place of --set analysis.type={selected.type}"
+        origin = source.overrides["analysis", "type"]
+        action = SetKey("", "analysis", format_toml(table))
+        if origin.file is not None:
+            deletion = DeleteKey("analysis.type", place=origin.file)
+            return f"{deletion}, and {action.write_as_option('add')}"
+        if origin.is_option:
+            end = f"  in place of --set analysis.type={selected.type}"
+            return action.write_as_option("write", end)
         return f"write  'analysis': {table!r}  in place of 'analysis.type': {selected.type!r}"
     quoted = _quote_keys(unused)
     addition = "".join(f', and add  {key} = "{value}"' for key, value in added.items())
@@ -451,7 +456,7 @@ def _check_period_count(where: str, count: int, scene: Scene) -> Iterator[UsageE
             where=where,
             got=f"{scene.analysis.type} analysis",
             expected="a transient analysis, or the keys `from` and `to` in place of `periods`",
-            hint="delete the key `periods`",
+            hint=DeleteKey("periods"),
         )
         return
     period = scene.period
@@ -487,7 +492,7 @@ def _check_level_probe(where: str, probe: ProbeKeys, selected: Analysis) -> Iter
             where=f"{where}.take",
             got=f"{selected.type} analysis{' and the key `at`' if probe.at is not None else ''}",
             expected=f"type = {' or '.join(kinds)}",
-            hint=f'write  type = "{kinds[0]}"  in [analysis], or delete this probe',
+            hint=SetKey("analysis", "type", f'"{kinds[0]}"', end=", or delete this probe"),
         )
 
 

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import os
 import re
-import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from difflib import get_close_matches
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -18,25 +15,24 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from kc2spice.core.argument_and_option_names import check_arguments
-from kc2spice.core.domains import QUANTITIES
-from kc2spice.core.errors import UsageError, did_you_mean, list_candidates, normalise_word, unknown
-from kc2spice.core.key_errors import UNKNOWN_KEY, describe_invalid_key
-from kc2spice.core.schemas import list_keys
-from kc2spice.core.synonyms_from_other_programs import PART_TYPE_SYNONYMS
-from kc2spice.core.toml_text import clip_text, display_text, format_toml
-from kc2spice.core.untrusted_files import make_identifier, parse_toml
-from kc2spice.core.user_warnings import warn_user
-from kc2spice.scene.catalogue import CataloguePart, find_part
+from kc2spice.core.errors import UsageError, did_you_mean, list_candidates
+from kc2spice.core.key_actions import SetKey, SweepKey
+from kc2spice.core.key_errors import describe_invalid_key
+from kc2spice.core.toml_text import clip_text, display_text
+from kc2spice.core.untrusted_files import make_identifier
+from kc2spice.core.user_warnings import collect_warnings
 from kc2spice.scene.key_checks import check_periods, check_scene
-from kc2spice.scene.keys import KeyDescription, list_part_keys, list_schema_keys
 from kc2spice.scene.net_formation import add_default_joins, warn_of_short_circuits
-from kc2spice.scene.overrides import (
-    EXCLUSIVE_KEYS,
-    is_option,
-    read_overrides,
-    set_key,
-    write_example,
+from kc2spice.scene.override_advice import (
+    advise_dict_entry,
+    advise_override,
+    check_override_targets,
+    explain_replaced_type,
+    warn_of_replaced_overrides,
+    write_override_example,
 )
+from kc2spice.scene.override_origin import OverrideOrigin
+from kc2spice.scene.overrides import Override, read_overrides, set_key
 from kc2spice.scene.part_method_calls import add_part_records, resolve
 from kc2spice.scene.parttype import find_part_type, list_type_names
 from kc2spice.scene.plausibility import apply_check_action, check_drive_levels
@@ -44,9 +40,18 @@ from kc2spice.scene.scene_classes import DEFAULT_TYPES, GROUND, NameAllocator, P
 from kc2spice.scene.scene_file import SceneFile, open_scene
 from kc2spice.scene.settings import Analysis, SceneKeys
 from kc2spice.scene.start_conditions import find_start_errors
+from kc2spice.scene.table_advice import (
+    PARTS_COMMAND,
+    advise_drive,
+    advise_material_in_layer,
+    advise_top_level_key,
+    make_unknown_key_error,
+    make_unknown_type_error,
+    suggest_catalogue_keys,
+    suggest_part_type,
+)
 
 _PART_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,47}")
-PARTS_COMMAND = "kc2spice scenes --parts"  # command that lists the part types
 STRUCTURAL_KEYS = ("part", "pins")  # keys that every table of a part may contain
 # line number at the end of a file position such as amp.lib:4
 _LINE_NUMBER_SUFFIX = re.compile(r"[^.]:\d+$")
@@ -119,16 +124,21 @@ def load_scene(
         )
     tables = {name: table for name, table in data.items() if isinstance(table, Mapping)}
 
-    typed = dict[tuple[str, ...], str]()  # origins of overrides that are not in a file
-    for name, value, place, folder in list(
-        read_overrides(overrides, partial(_write_override_example, tables))
-    ):
-        path = set_key(data, name, value, place)
-        source.set_override(path, value, place, folder)
-        if folder is None:
-            _warn_of_replaced_overrides(typed, path, name, place)
-            typed[path] = place
-    _require_known_parts(data, tables, source)
+    stated = list(read_overrides(overrides, partial(write_override_example, tables)))
+    # the tables and the file before the overrides, to find the override that causes an error
+    find_error_without = partial(
+        _find_error_without,
+        stated=stated,
+        tables=_copy_tables(data),
+        source=replace(source, overrides={}, override_folders=dict(source.override_folders)),
+    )
+    typed = dict[tuple[str, ...], OverrideOrigin]()  # origins of overrides that are not in a file
+    for override in stated:
+        path = _apply_override(data, source, override)
+        if override.folder is None:
+            warn_of_replaced_overrides(typed, path, override.key, override.origin)
+            typed[path] = override.origin
+    check_override_targets(data, tables, source)
     try:
         result = _make_scene(data, source)
         return replace(result, workspace=scene.workspace) if isinstance(scene, Scene) else result
@@ -141,202 +151,49 @@ def load_scene(
             and not _LINE_NUMBER_SUFFIX.search(where)
         ):
             advice = _suggest_probed_result(data, source, problem)
-            problem.hint = advice or _suggest_catalogue_keys(data, problem) or problem.hint
-            if not _explain_replaced_type(data, source, problem):
-                _advise_override(source, problem)
+            if (hint := advice or suggest_catalogue_keys(data, problem)) is not None:
+                problem.hint = hint
+            if isinstance(problem.action, SweepKey) and isinstance(scene, (str, Path)):
+                problem.hint = replace(problem.action, scene=str(scene))
+            if not explain_replaced_type(data, source, problem):
+                advise_override(source, problem, find_error_without)
                 if isinstance(scene, Mapping):
-                    _advise_python_key(problem)
+                    advise_dict_entry(problem)
                 problem.where = source.locate_key(where)
         raise
 
 
-def _warn_of_replaced_overrides(
-    typed: Mapping[tuple[str, ...], str], path: tuple[str, ...], name: str, place: str
-) -> None:
-    """Warn about each earlier override that a later override of key ``name`` replaces.
+def _apply_override(data: dict[str, Any], source: SceneFile, override: Override) -> tuple[str, ...]:
+    """Set the key of an override in the tables ``data``, and return the path of the key."""
+    value = _copy_tables(override.value)
+    path = set_key(data, override.key, value, str(override.origin))
+    source.set_override(path, value, override.origin, override.folder)
+    return path
 
-    ``typed`` contains the origins of the earlier overrides, keyed by path. ``path`` and ``place``
-    are the path and the origin of the later override.
+
+def _find_error_without(
+    origin: OverrideOrigin,
+    stated: Sequence[Override],
+    tables: Mapping[str, Any],
+    source: SceneFile,
+) -> Exception | None:
+    """Return the error of a scene without the override of this origin, or None.
+
+    ``stated`` are all overrides. ``tables`` and ``source`` are the tables and the file of the scene
+    without overrides.
     """
-    excluded = (*path[:-1], EXCLUSIVE_KEYS.get(name, ""))
-    for other, earlier in typed.items():
-        if other in (path, excluded):
-            texts = [text.removeprefix("--set ") for text in (earlier, place)]
-            warn_user(f"{texts[0]} has no effect, because {texts[1]} replaces it")
-
-
-def _explain_replaced_type(data: Mapping[str, Any], source: SceneFile, problem: UsageError) -> bool:
-    """Explain a key error if an override that replaced the part type caused it.
-
-    Return False, and leave the error unchanged, if no override replaces the type of the part. Also
-    return False if an override sets the key that the error is about.
-    """
-    where = str(problem.where)
-    name, _, key = where.partition(".")
-    origin = source.overrides.get((name, "part"))
-    table = data.get(name)
-    if origin is None or not isinstance(table, Mapping) or source.find_override(where):
-        return False
-    if key.partition(".")[0] not in table:
-        return False
-    changed: dict[str, Any] = {}
-    for path in source.overrides:
-        if path[0] == name and len(path) > 1:
-            changed[path[1]] = table[path[1]]
-        if path in source.override_folders and len(path) == 2:
-            file = source.override_folders[path] / str(table[path[1]])
-            changed[path[1]] = os.path.relpath(file, source.base_folder)
-    text = f"{name}={format_toml(changed)}"
-    problem.got = f"{where} of {source.label}: {problem.message}"
-    problem.message = f"the key `{where}` of the scene does not fit the new part type"
-    problem.expected = f"a table {name} with keys of part = {table['part']!r} only"
-    problem.hint = (
-        f"replace the whole table: add  --set {shlex.quote(text)}"
-        if is_option(origin)
-        else f"replace the whole table: add  {name!r}: {changed!r}  to the overrides"
-    )
-    problem.where = origin
-    return True
-
-
-# pattern of a hint that sets a key of a table, such as: add  stop = "1 ms"  to [analysis]
-_KEY_HINT = re.compile(r"(?:add|write)  (\w+) = (.+?)  (?:to|in) \[(\[?)([\w.]+)\]+(.*)")
-
-# pattern of a hint that states a fraction, such as: for 5 %, write  tolerance = 0.05  in [rom]
-_FRACTION_HINT = re.compile(r"(for \S+ %), write  \w+ = (\S+)(?:  in \[[\w.]+\])?")
-
-# pattern of a hint that deletes a key, such as: delete the key `back`
-_DELETE_HINT = re.compile(r"delete (?:the key )?`?(\w+)`?(?: of \[\w+\])?(?=$|;)")
-
-# pattern of a hint that changes one key, such as: raise pulse.period to 1 ms
-_OTHER_KEY_HINT = re.compile(r"(?:raise|lower) ([\w.]+) (?:to|above|below) .+")
-# Smallest number of letters in a key that is searched for in an error message. Shorter keys could
-# be ordinary words, such as `of`.
-_SHORTEST_KEY = 4
-
-
-def _find_override_named_in_error(source: SceneFile, problem: UsageError) -> str | None:
-    """Find the origin of the override whose key the error names, or return None.
-
-    The override must change a key of the table in which the error occurs.
-    """
-    if problem.message == UNKNOWN_KEY:  # the error lists keys that need no change
-        return None
-    table = str(problem.where).partition(".")[0]
-    texts = problem.message, str(problem.got), problem.expected or "", problem.hint or ""
-    words = set(re.findall(r"\w+", " ".join(texts)))
-    for path, origin in source.overrides.items():
-        is_key = path[0] == table and len(path) > 1 and len(path[-1]) >= _SHORTEST_KEY
-        if is_key and path[-1] in words:
-            return origin
+    data = _copy_tables(tables)
+    file = replace(source, overrides={}, override_folders=dict(source.override_folders))
+    try:
+        with collect_warnings():  # a scene that the user did not state issues no warnings
+            for override in stated:
+                if override.origin != origin:
+                    _apply_override(data, file, override)
+            _make_scene(data, file)
+    # The only effect of an unexpected exception is that the user's error names no override.
+    except Exception as error:
+        return error
     return None
-
-
-def _advise_either(origin: str, hint: str | None) -> str:
-    """Advise to change an override, or to do what another hint states."""
-    override = origin.removeprefix("overrides ")
-    change = f"change {override}" + (" in the overrides" if override != origin else "")
-    return f"{change}, or {hint}" if hint else change
-
-
-def _advise_override(source: SceneFile, problem: UsageError) -> None:
-    """Advise an override in place of a change of the file, if an override caused an error."""
-    where, hint = str(problem.where), problem.hint or ""
-    origin = source.find_override(where)
-    if origin is None:
-        if (other := _find_override_named_in_error(source, problem)) is not None:
-            problem.hint = _advise_either(other, problem.hint)
-    elif changed := _OTHER_KEY_HINT.fullmatch(hint):
-        table = f"{where.partition('.')[0]}."
-        if not source.overrides_key(table + changed[1].removeprefix(table)):
-            problem.hint = _advise_either(origin, hint)
-    elif deleted := _DELETE_HINT.match(hint):
-        same_key = deleted[1] == where.rpartition(".")[2]
-        if same_key and is_option(origin) and source.overrides_key(where):
-            problem.hint = f"leave out {origin}{hint[deleted.end() :]}"
-    elif fraction := _FRACTION_HINT.fullmatch(hint):
-        problem.hint = f"{fraction[1]}, write  {_write_override(where, fraction[2], origin)}"
-    elif stated := _KEY_HINT.fullmatch(hint):
-        key, value, is_list, table, end = stated.groups()
-        path = f"{table}[0].{key}" if is_list else f"{table}.{key}"
-        verb = "write" if source.overrides_key(path) else "add"
-        if verb == "add" and problem.message == UNKNOWN_KEY and is_option(origin):
-            verb, end = "write", f"{end}  in place of {origin}"
-        problem.hint = f"{verb}  {_write_override(path, value, origin)}{end}"
-
-
-def _write_override(key: str, value: str, origin: str) -> str:
-    """Write an override of a key in the form of another override, whose origin is given.
-
-    ``value`` is TOML text. The form is an option ``--set`` or an entry of a Python mapping.
-    """
-    if not is_option(origin):
-        return f"'{key}': {value}  in the overrides"
-    text = value[1:-1] if re.fullmatch(r'"[^"]*"', value) else value
-    return f"--set {shlex.quote(f'{key}={text}')}"
-
-
-# pattern of a hint that adds a key to a table, such as: add  layers = []  to disc
-_ADD_HINT = re.compile(r"add  (\w+) = (.+)  to (?:\[([\w.]+)\]|([\w.\[\]]+))")
-
-
-def _advise_python_key(problem: UsageError) -> None:
-    """Write the hint that adds a missing TOML key as an entry of a Python mapping."""
-    hint = _ADD_HINT.fullmatch(problem.hint or "")
-    if hint is None or not problem.message.endswith("is missing"):
-        return
-    key, text, header, table = hint.groups()
-    with suppress(ValueError, UsageError):
-        value = parse_toml(f"value = {text}")["value"]
-        problem.hint = f"add  {key!r}: {value!r}  to the dict {header or table}"
-
-
-def _write_override_example(tables: Mapping[str, Any], key: str) -> str:
-    """Return an example of an override of ``key``, with the value in the scene."""
-    part = key.partition(".")[0]
-    keys = _list_part_keys(part, tables[part]) if part in tables else []
-    return write_example(key, tables, keys)
-
-
-def _require_known_parts(
-    data: Mapping[str, Any], tables: Mapping[str, Any], source: SceneFile
-) -> None:
-    """Reject an override of a whole part, and overrides of keys of an unknown part.
-
-    An override that contains a part type adds a part. ``tables`` are the tables of the scene
-    without overrides, ``data`` the tables with overrides.
-    """
-    known = {*tables, *SceneKeys.model_fields, *DEFAULT_TYPES}
-    parts = [part for part in tables if part not in SceneKeys.model_fields]
-    for name, table in data.items():
-        if name in parts and not isinstance(table, Mapping):
-            keys = _list_part_keys(name, tables[name])
-            raise UsageError(
-                f"{name} is a part of this scene, not a key",
-                where=source.locate_key(name),
-                expected=f"a key of {name}: {list_candidates(name, keys)}",
-                hint=f"write {write_example(name, tables, keys)}",
-            )
-        if name in known or not isinstance(table, Mapping) or "part" in table:
-            continue
-        raise UsageError(
-            f"this scene has no part {name!r}",
-            where=source.locate_key(name),
-            expected=f"a key of one of its parts: {list_candidates(name, parts)}",
-            hint=did_you_mean(name, parts) or _suggest_part(name, table, tables, parts),
-        )
-
-
-def _suggest_part(
-    name: str, keys: Mapping[str, Any], tables: Mapping[str, Any], parts: Sequence[str]
-) -> str:
-    """Suggest a part that has the key ``name`` or the first of the given ``keys``."""
-    word = next(iter(keys), "")
-    for path in (f"{name}.{word}", word):
-        for part in parts:
-            if f"{part}.{path}" in _list_part_keys(part, tables[part]):
-                return f"write {part}.{path}"
-    return "use the name of one of these parts"
 
 
 def _copy_tables(value: Any) -> Any:
@@ -369,7 +226,7 @@ def _make_scene(data: dict[str, Any], source: SceneFile) -> Scene:
 
 def _suggest_probed_result(
     data: Mapping[str, Any], source: SceneFile, error: UsageError
-) -> str | None:
+) -> SetKey | None:
     """Suggest a result for a probe without the key ``of``; None for other errors."""
     probe = re.fullmatch(r"probes\.(\w+)\.of", error.where or "")
     if probe is None or not error.message.endswith("is missing"):
@@ -382,29 +239,9 @@ def _suggest_probed_result(
         results = list_all_results(scene)
         same = [name for name in results if name.partition(".")[2][:1] in probe[1]]
         for result in [*same, *results][:1]:
-            return f'add  of = "{result}"  to probes.{probe[1]}'
+            table = f"probes.{probe[1]}"
+            return SetKey(table, "of", f'"{result}"', verb="add", place=table)
     return None
-
-
-def _suggest_catalogue_keys(data: Mapping[str, Any], error: UsageError) -> str | None:
-    """Suggest the keys of a catalogue part for a table that states only its number.
-
-    Return None for errors that are not about missing keys.
-    """
-    if not error.message.endswith(("is missing", "do not fully determine the circuit")):
-        return None
-    table = data.get((error.where or "").partition(".")[0])
-    number = table.get("number") if isinstance(table, Mapping) else None
-    sold = find_part(number) if isinstance(number, str) else None
-    return None if sold is None else _advise_catalogue_keys(sold)
-
-
-def _advise_catalogue_keys(sold: CataloguePart) -> str:
-    """Return the advice to write the keys that ``kc2spice parts`` prints for a part."""
-    return (
-        f'write  part = "{sold.kind}"  and the keys that the command  '
-        f"kc2spice parts {shlex.quote(sold.number)}  prints"
-    )
 
 
 def _make_parts(
@@ -480,46 +317,13 @@ def _add_default_drive(scene: Scene) -> Scene:
             where="analysis.type",
             got="ac, and no source with an ac value",
             expected=f'a source with ac = "1 V"{at}',
-            hint=_advise_drive(exported, ports),
+            hint=advise_drive(exported, ports),
         )
     driven = ports[0][0]
     name = NameAllocator(parts).allocate_name(driven, f"{driven}_drive")
     table = {"part": "source", "ac": "1 V", "pins": {"out": ".".join(ports[0])}}
     drive = _make_part(name, table, _find_part_type(name, table), scene.home)
     return replace(scene, parts={**parts, name: drive})
-
-
-def _advise_drive(scene: Scene, ports: Sequence[tuple[str, str]]) -> str:
-    """Return a hint that adds an amplitude, or a source, for the ``ac`` analysis.
-
-    If the scene has sources, the hint adds an amplitude to one source, preferably to a source at
-    one of the ``ports``. Otherwise, the hint contains a table for a source that drives the first of
-    the ``ports``. If ``ports`` is empty, the source drives the first pin of the scene that carries
-    a flow, such as a force or a current.
-    """
-    sources = scene.list_parts("source")
-    targets = {target for port in ports for target in scene.parts[port[0]].pins.values()}
-    near = [source for source in sources if f"{source.name}.out" in targets]
-    near += [source for source in sources if {*map(".".join, ports)} & {*source.pins.values()}]
-    if sources:
-        source = (near or sources)[0]
-        return f'write  ac = "1 {getattr(source.keys, "unit", "V")}"  in [{source.name}]'
-    name = NameAllocator(scene.parts).allocate_name("drive", "drive")
-    for part in scene.parts.values():
-        for pin in part.type.pins(part, scene):
-            domain = pin.domain
-            through = None if domain is None else domain.through
-            if through is None or (ports and (part.name, pin.name) not in ports):
-                continue
-            kind = "voltage" if pin.unit == "V" else through.name
-            if kind in QUANTITIES:
-                unit = QUANTITIES[kind][0].get_quantity(QUANTITIES[kind][1]).unit
-                keys = "" if kind == "voltage" else f'kind = "{kind}", '
-                return (
-                    f'add [{name}] with part = "source", {keys}ac = "1 {unit}" and '
-                    f'pins = {{ out = "{part.name}.{pin.name}" }}'
-                )
-    return 'add a part with part = "source" and ac = "1 V"'
 
 
 def _list_part_tables(data: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[str, Any]]]:
@@ -537,7 +341,7 @@ def _list_part_tables(data: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[st
                 hint=f"write  [{name}]  and below it the keys of the part",
             )
         if not isinstance(table, Mapping):
-            raise _make_unknown_key_error(name, data)
+            raise make_unknown_key_error(name, data)
         if not _PART_NAME.fullmatch(name) or name.lower() == GROUND:
             raise UsageError(
                 "this name of a part is not valid",
@@ -558,90 +362,6 @@ def _list_part_tables(data: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[st
         yield name, table
 
 
-def _make_unknown_key_error(name: str, data: Mapping[str, Any]) -> UsageError:
-    """Return the error about an unknown key at the top level of a scene."""
-    delete = f"delete {name}; kc2spice scenes --keys lists all keys"
-    if isinstance(data[name], list):
-        delete = 'write a table for each part: [NAME] with part = "TYPE"'
-    return UsageError(
-        UNKNOWN_KEY,
-        where=name,
-        expected=f"one of {list_candidates(name, SceneKeys.model_fields)}, "
-        "or a table with part = TYPE",
-        hint=did_you_mean(name, SceneKeys.model_fields)
-        or (_advise_key_in_table(name, data, "analysis") if name in Analysis.model_fields else None)
-        or (f"delete {name}: ngspice computes at 27 °C" if name.startswith("temp") else None)
-        or _suggest_key_of_part(name, data)
-        or delete,
-    )
-
-
-def _suggest_key_of_part(name: str, data: Mapping[str, Any]) -> str | None:
-    """Suggest to write a key into the first table that has a key of this name.
-
-    If the key has choices, the suggested value is the choice that is most similar to the typed
-    value. The result is None if no part has a key with a similar name.
-    """
-    keys = dict[str, KeyDescription]()
-    for part, table in data.items():
-        kind = _get_stated_type(part, table) if part not in SceneKeys.model_fields else None
-        if kind is not None:
-            keys |= {f"{part}.{key.name}": key for key in list_part_keys(kind.schema)}
-    keys |= {key.name: key for key in list_schema_keys(SceneKeys) if key.name.count(".") == 1}
-    same = [key for key in keys if key.rpartition(".")[2] == name]
-    similar = get_close_matches(name, {key.rpartition(".")[2]: key for key in keys}, 1, 0.7)
-    same = same or [key for key in keys if key.rpartition(".")[2] in similar]
-    if not same:
-        return None
-
-    def rank_key(key: str) -> tuple[bool, int]:
-        """Return the rank of a dotted key; the hint contains the key with the lowest rank.
-
-        Keys outside of the list ``layers`` have lower ranks than keys in the list. If neither key
-        or both keys are in the list, the key with fewer dots has the lower rank.
-        """
-        return ".layers." in key, key.count(".")
-
-    path = min(same, key=rank_key)
-    value, choices = data[name], keys[path].choices
-    if isinstance(value, str) and choices and value not in choices:
-        value = next(iter(get_close_matches(value, choices, 1)), choices[0])
-    table, _, key = path.rpartition(".")
-    return _advise_key_in_table(key, {**data, key: value}, table)
-
-
-def _advise_key_in_table(key: str, data: Mapping[str, Any], table: str) -> str:
-    """Return the hint to write a key and its value into a table of the scene.
-
-    ``data`` contains the value of the key, and the tables of the scene.
-    """
-    holder: Any = data
-    for step in table.split("."):
-        holder = holder.get(step) if isinstance(holder, Mapping) else None
-    header = f"[[{table}]]" if isinstance(holder, list) else f"[{table}]"
-    return f"write  {key} = {format_toml(data[key])}  in {header}"
-
-
-def _get_stated_type(name: str, table: object) -> PartType | None:
-    """Return the part type that a table states, or None if the table states no valid type."""
-    if not isinstance(table, Mapping):
-        return None
-    return find_part_type(str(table.get("part", DEFAULT_TYPES.get(name))))
-
-
-def _list_part_keys(name: str, table: Mapping[str, Any]) -> list[str]:
-    """Return the dotted keys of a part; none if the part type is unknown."""
-    kind = _get_stated_type(name, table)
-    keys = () if kind is None else list_keys(kind.schema)
-    return [".".join((name, *path)) for path, _ in keys]
-
-
-def _suggest_part_type(typed: object) -> str | None:
-    """Suggest the part type that is named ``typed`` in other programs."""
-    kind = PART_TYPE_SYNONYMS.get(normalise_word(str(typed)))
-    return f'write  part = "{kind}"' if kind in list_type_names() else None
-
-
 def _find_part_type(name: str, table: Mapping[str, Any]) -> PartType:
     """Return the part type that the key ``part`` or the name of a table determines."""
     selected = table.get("part", DEFAULT_TYPES.get(name))
@@ -655,14 +375,14 @@ def _find_part_type(name: str, table: Mapping[str, Any]) -> PartType:
                 "a scene cannot contain a table of materials",
                 where=name,
                 expected="the constants of a material in the key `material` of a part or a layer",
-                hint=_advise_material_in_layer(table),
+                hint=advise_material_in_layer(table),
             )
         raise UsageError(
             "the key `part` is missing in this table",
             where=name,
             expected=f"part = one of {list_candidates(name, list_type_names(), PARTS_COMMAND)}",
             hint=near
-            or f'add  part = "TYPE"  to [{name}]; kc2spice scenes --parts lists the types',
+            or SetKey(name, "part", '"TYPE"', verb="add", end=f"; {PARTS_COMMAND} lists the types"),
         )
     result = find_part_type(selected) if isinstance(selected, str) else None
     if result is None:
@@ -671,39 +391,9 @@ def _find_part_type(name: str, table: Mapping[str, Any]) -> PartType:
             "docs/how-to/own_part.md describes types of your own"
         )
         raise make_unknown_type_error(
-            selected, f"{name}.part", _suggest_part_type(selected) or advice
+            selected, f"{name}.part", suggest_part_type(selected) or advice
         )
     return result
-
-
-def _advise_material_in_layer(table: Mapping[str, Any]) -> str:
-    """Advise to move the constants of a material into the table of a layer or part."""
-    inner = next((item for item in table.values() if isinstance(item, Mapping)), table)
-    constants = format_toml(dict(inner)) if inner else '{ like = "steel" }'
-    return (
-        f"delete this table, and write  material = {constants}  in the layer or part that is made "
-        "of this material; docs/how-to/own_material.md lists the keys"
-    )
-
-
-def make_unknown_type_error(selected: object, where: str, advice: str) -> UsageError:
-    """Make the error for a text that is not the name of a part type.
-
-    If the text is a part number of the catalogue, the error names the part type to use instead, and
-    the command that prints its keys. ``advice`` is the hint of the error message if no part type
-    has a similar name.
-    """
-    sold = find_part(selected) if isinstance(selected, str) else None
-    if sold is None:
-        message, names = "this part type does not exist", list_type_names()
-        return unknown(message, selected, names, where, PARTS_COMMAND, advice=advice)
-    return UsageError(
-        "this text is a part number, not a part type",
-        where=where,
-        got=repr(selected),
-        expected=f"the part type {sold.kind}, with the keys of {sold.number}",
-        hint=_advise_catalogue_keys(sold),
-    )
 
 
 def _make_part(
@@ -814,6 +504,7 @@ def _validate_table(
         path, details = describe_invalid_key(
             error, schema, at, STRUCTURAL_KEYS if at else (), table
         )
+        details["hint"] = advise_top_level_key(path[len(at) :], table, details["hint"])
         raise UsageError(where=".".join(map(str, path)), **details) from None
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from typing import Any
 from kc2spice.core.errors import UsageError, did_you_mean
 from kc2spice.core.toml_text import clip_text, format_toml
 from kc2spice.core.untrusted_files import LONGEST_KEY, MAX_NESTING, parse_toml
+from kc2spice.scene.override_origin import OverrideOrigin
 from kc2spice.scene.scene_file import open_scene
 
 _WORD_PATTERN = r"[A-Za-z_][A-Za-z0-9_]*"
@@ -29,14 +31,26 @@ _OVERRIDE_EXAMPLES = (
 )
 
 
+@dataclass(frozen=True)
+class Override:
+    """Override of a key: the dotted key as typed, the value, and the origin for errors.
+
+    ``folder`` is the folder of the TOML file with the override, or None for an override that is not
+    in a file.
+    """
+
+    key: str
+    value: Any
+    origin: OverrideOrigin
+    folder: Path | None = None
+
+
 def read_overrides(
     overrides: Sequence[str] | Mapping[str, Any], example: Callable[[str], str]
-) -> Iterator[tuple[str, Any, str, Path | None]]:
-    """Yield the key, the value, the origin and the folder of each override.
+) -> Iterator[Override]:
+    """Yield the overrides of a list of strings, or of a mapping of keys to values.
 
-    The origin is a text for error messages. The folder is the folder of the TOML file with the
-    override, or None for an override without a file. ``example`` is a function that returns an
-    example of an override for a key.
+    ``example`` is a function that returns an example of an override for a key.
 
     Raises
     ------
@@ -44,20 +58,12 @@ def read_overrides(
     """
     if isinstance(overrides, Mapping):
         for name, value in overrides.items():
-            yield name, value, f"overrides {clip_text(f'{name}={value}')!r}", None
+            yield Override(name, value, OverrideOrigin(f"{name}={value}", is_option=False))
         return
     for text, file in _expand_files(overrides):
         name, value = _parse_override(text, example)
-        origin = f"--set {clip_text(text)!r}"
-        if file is None:
-            yield name, value, origin, None
-        else:
-            yield name, value, f"{origin} of {file}", Path(file).resolve().parent
-
-
-def is_option(origin: str) -> bool:
-    """Return whether an override with this origin is an option ``--set`` of the command line."""
-    return origin.startswith("--set")
+        folder = None if file is None else Path(file).resolve().parent
+        yield Override(name, value, OverrideOrigin(text, is_option=True, file=file), folder)
 
 
 def expand_overrides(texts: Sequence[str]) -> list[str]:

@@ -35,6 +35,7 @@ from kc2spice.core.untrusted_files import (
     split_lines,
 )
 from kc2spice.scene.catalogue import find_part, read_catalogue, search_parts
+from kc2spice.scene.override_origin import OverrideOrigin
 
 INCLUDE = "include"  # key of a scene for netlist files that its parts use
 # Keys whose value is the name of a file, in the tables of all part types.
@@ -85,7 +86,7 @@ class SceneFile:
     stem: str
     text: str
     folder: Path
-    overrides: dict[tuple[str, ...], str] = field(default_factory=dict)
+    overrides: dict[tuple[str, ...], OverrideOrigin] = field(default_factory=dict)
     override_folders: dict[tuple[str, ...], Path] = field(default_factory=dict)
 
     def parse_tables(self) -> dict[str, Any]:
@@ -102,7 +103,7 @@ class SceneFile:
         return tuple(key.split(".")) in self.overrides
 
     def set_override(
-        self, path: tuple[str, ...], value: object, origin: str, folder: Path | None
+        self, path: tuple[str, ...], value: object, origin: OverrideOrigin, folder: Path | None
     ) -> None:
         """Record an override, and the folder to which its relative file names refer.
 
@@ -127,7 +128,7 @@ class SceneFile:
                 return folder
         return None
 
-    def find_override(self, key: str) -> str | None:
+    def find_override(self, key: str) -> OverrideOrigin | None:
         """Return the origin of the override that changes a key, or None without override."""
         names = tuple(key.split("."))
         for path, override in self.overrides.items():
@@ -144,7 +145,7 @@ class SceneFile:
         if not key:
             return self.label
         if (override := self.find_override(key)) is not None:
-            return override
+            return str(override)
         names = tuple(key.split("."))
         line = _find_line(self.text, names)
         place = self.label if line is None else f"{self.label}, line {line}"
