@@ -8,7 +8,9 @@ displacement is differentiated.
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Mapping
 from dataclasses import replace
+from typing import ClassVar
 
 from kc2spice.core import constitutive_laws as laws
 from kc2spice.netlist.subcircuit_library import Header, Subcircuit
@@ -24,6 +26,8 @@ class DeclaredPartWithMass(DeclaredPart[KeysT]):
     """Part type with a declaration, and with a mass at a displacement pin."""
 
     moving_pins: tuple[str, str]  # pin with the mass, and pin relative to which the mass moves
+    # advice to users in whose scenes the second pin of ``moving_pins`` moves
+    moving_frame_advice: ClassVar[str] = ""
 
     @abstractmethod
     def declare_mass(self, part: Part[KeysT], scene: WiredScene) -> Declaration:
@@ -32,6 +36,10 @@ class DeclaredPartWithMass(DeclaredPart[KeysT]):
     def pins_with_mass(self, part: Part[KeysT], scene: JoinedScene) -> tuple[str, ...]:
         """Return the name of the pin that has the mass."""
         return self.moving_pins[:1]
+
+    def constant_pins(self, part: Part[KeysT], scene: WiredScene) -> Mapping[str, str]:
+        """Return the pin relative to which the mass moves."""
+        return {self.moving_pins[1]: self.moving_frame_advice}
 
     def equilibrium_conditions(self, part: Part[KeysT], scene: WiredScene) -> EquilibriumConditions:
         """Return the equilibrium conditions: paths of steady flow, and the pin with mass.

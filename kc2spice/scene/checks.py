@@ -27,13 +27,17 @@ class Metric:
     the author of a part may choose the name freely. If ``warning`` is set, the summary of a run
     prints the text ``warning`` as a warning in place of the metric. If the value lies between two
     points of a sweep, ``resolution`` is half the distance between these points, in the unit of the
-    metric.
+    metric. ``curve`` states that the value is an array over the frequencies of an ac analysis.
+    ``scope`` is the name of the part if the value does not include the circuit around the part;
+    otherwise, ``scope`` is empty.
     """
 
     value: Any
     unit: str = ""
     warning: str = ""
     resolution: float = 0.0
+    curve: bool = False
+    scope: str = ""
 
 
 @dataclass(frozen=True)

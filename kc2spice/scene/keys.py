@@ -26,7 +26,8 @@ class KeyDescription:
 
     ``unit`` is ``""`` for plain numbers, and None for values other than numbers. ``integer`` marks
     whole numbers, and ``mixed`` marks numbers whose unit depends on other keys. If ``required`` is
-    true, the key must be stated in every table to which the key belongs.
+    true, the key must be stated in every table to which the key belongs. If ``of_netlist`` is true,
+    the key is a parameter of a netlist, whose values may have suffixes of SPICE, as in ``3.3m``.
     """
 
     name: str
@@ -37,6 +38,7 @@ class KeyDescription:
     integer: bool = False
     mixed: bool = False
     required: bool = False
+    of_netlist: bool = False
 
 
 def _list_annotation_types(annotation: Any) -> Iterator[Any]:

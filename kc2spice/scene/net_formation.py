@@ -15,12 +15,13 @@ from operator import attrgetter
 from string import ascii_lowercase
 
 from kc2spice.core.disjoint_groups import DisjointGroups
-from kc2spice.core.domains import ELECTRICAL, QUANTITIES, Domain
+from kc2spice.core.domains import ACCELERATION, ELECTRICAL, QUANTITIES, Domain
 from kc2spice.core.errors import UsageError, did_you_mean, list_candidates, unknown
+from kc2spice.core.key_actions import Hint, SetKey
 from kc2spice.core.user_warnings import warn_user
 from kc2spice.scene.part_records import EquilibriumConditions
 from kc2spice.scene.parttype import find_current_into
-from kc2spice.scene.reference_frames import find_frames
+from kc2spice.scene.reference_frames import find_frames, require_constant_pins
 from kc2spice.scene.scene_classes import (
     GROUND,
     BuiltPartRecord,
@@ -48,10 +49,12 @@ def join_parts(scene: Scene) -> Scene:
     ------
     UsageError : a part or pin is unknown; names of pins of one part differ only in letter case; a
         net contains pins of different kinds or two outputs; or a required pin is not joined. The
-        error also occurs if both pins of a part are on one net, ideal sources form a loop, or a net
-        is in two reference frames. The ``where`` of the error is a dotted key.
+        error also occurs if both pins of a part are on one net, ideal sources form a loop, a pin
+        that must be at rest can move, or a net is in two reference frames. The ``where`` of the
+        error is a dotted key.
     """
     scene = _with_nets(replace(scene, frames={}, nets={}))
+    require_constant_pins(scene)
     if frames := find_frames(scene):
         scene = _with_nets(replace(scene, frames=frames))
         # the additional pins may change the names of nodes
@@ -202,7 +205,11 @@ def _require_same_kind(a: Pin, b: Pin, scene: Scene, where: str) -> None:
         pins = [*scene.terminals.items(), *_list_optional_pins(scene)]
         fitting = (pin for pin, terminal in pins if pin[0] != a[0] and first.fits(terminal))
         choices = list(map(".".join, fitting))
-        hint = _suggest_kind(a[0], first, second) or _suggest_target(a, choices, scene)
+        hint: Hint | None = (
+            _suggest_kind(a[0], first, second)
+            or _suggest_acceleration(b[0], second, first)
+            or _suggest_target(a, choices, scene)
+        )
         name = ".".join(b)
         raise UsageError(
             "this connection joins pins of different kinds",
@@ -216,15 +223,19 @@ def _require_same_kind(a: Pin, b: Pin, scene: Scene, where: str) -> None:
 
 
 def _list_optional_pins(scene: Scene) -> Iterator[tuple[Pin, Terminal]]:
-    """Yield the pins that the parts of a scene lack, because the scene does not join them."""
+    """Yield the pins that the parts of a scene lack, because the scene does not join them.
+
+    A pin also counts as missing if its units would change as soon as the scene joins it.
+    """
     every = replace(scene, ports="all")
     for part in scene.parts.values():
         added = [pin for pin, key in part.type.optional_pins.items() if key == f"pins.{pin}"]
         names = dict.fromkeys([*_compute_pins(part, every), *added])
         for name in names:
             joined = replace(part, pins={name: GROUND, **part.pins})
-            terminal = _compute_pins(joined, scene).get(name)
-            if terminal is not None and (part.name, name) not in scene.terminals:
+            terminal = _compute_pins(joined, every).get(name)
+            present = scene.terminals.get((part.name, name))
+            if terminal is not None and (present is None or not terminal.fits(present)):
                 yield (part.name, name), terminal
 
 
@@ -235,13 +246,18 @@ def _compute_pins(part: Part, scene: Scene) -> dict[str, Terminal]:
     return {}
 
 
-def _suggest_kind(part: str, terminal: Terminal, other: Terminal) -> str | None:
+def _suggest_kind(part: str, terminal: Terminal, other: Terminal) -> SetKey | None:
     """Suggest a kind for a pin, so that the pin has the same units as another pin."""
     units = other.unit, other.flow
     kinds = [name for name, (domain, _) in QUANTITIES.items() if domain.units == units]
     if not terminal.kind_key or not kinds:
         return None
-    return f'write  {terminal.kind_key} = "{kinds[-1]}"  in [{part}], with values in its unit'
+    return SetKey(part, terminal.kind_key, f'"{kinds[-1]}"', end=", with values in its unit")
+
+
+def _suggest_acceleration(part: str, terminal: Terminal, other: Terminal) -> SetKey | None:
+    """Suggest an acceleration as the kind of a source at an acceleration pin."""
+    return _suggest_kind(part, terminal, other) if other.domain is ACCELERATION else None
 
 
 def _suggest_target(pin: Pin, choices: Sequence[str], scene: Scene) -> str:
@@ -422,8 +438,9 @@ def _make_unjoined_error(
     names = list(map(".".join, waiting + fitting))
     count = LISTED_PINS - (not terminal.can_move)
     pin, more = terminal.name, "" if len(names) <= count else ", …"
+    hint: Hint
     if waiting:
-        hint = f'add  pins = {{ {pin} = "{names[0]}" }}  to [{name}]'
+        hint = SetKey(name, "pins", f'{{ {pin} = "{names[0]}" }}', verb="add")
     elif fitting:
         hint = f'connect this pin, for example  pins = {{ {pin} = "{names[0]}" }}  in [{name}]'
         # the hint suggests a load resistor, which causes no short circuit
@@ -435,7 +452,7 @@ def _make_unjoined_error(
     elif terminal.can_move:
         hint = 'add a mechanical part for this pin, such as [spring] with part = "spring"'
     else:
-        hint = f'add  pins = {{ {pin} = "{GROUND}" }}  to [{name}]'
+        hint = SetKey(name, "pins", f'{{ {pin} = "{GROUND}" }}', verb="add")
     ground = [] if terminal.can_move else [GROUND]
     kind = (
         "an electrical pin" if terminal.domain is ELECTRICAL else f"a pin of kind {terminal.kind}"

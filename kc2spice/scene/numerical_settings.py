@@ -299,7 +299,8 @@ def describe_analysis(scene: Scene) -> str:
     """
     selected = scene.analysis
     if selected.type == "transient":
-        return f"transient, 0 s to {format_quantity(scene.stop_time, 's')}"
+        default = " (default)" if scene.has_default_stop_time else ""
+        return f"transient, 0 s to {format_quantity(scene.stop_time, 's')}{default}"
     if selected.type == "dc":
         return f"dc, sweep of {selected.sweep}"
     if not selected.is_small_signal:
@@ -315,7 +316,8 @@ def describe_plan(build: BuiltScene) -> dict[str, Any]:
     description of the model (``detail``). ``joins`` describes the nets. ``frames`` describes the
     reference frames of displacements. ``left_out`` lists each neglected effect once. ``settings``
     lists the numerical settings. The ``error`` of a setting is the estimated relative error of the
-    quantity ``error_of``, or None if the error is not known before a run.
+    quantity ``error_of``, or None if the error is not known before a run. ``default_stop_s`` is the
+    end time [s] of a transient, or None if the scene states the end time.
     """
     scene = build.scene
     parts = []
@@ -346,6 +348,7 @@ def describe_plan(build: BuiltScene) -> dict[str, Any]:
         "joins": describe_nets(scene),
         "frames": list(describe_frames(scene)),
         "left_out": list(map(asdict, dict.fromkeys(left_out))),
+        "default_stop_s": scene.stop_time if scene.has_default_stop_time else None,
         "error_budget": scene.error_budget,
         "settings": settings,
     }

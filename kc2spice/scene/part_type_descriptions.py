@@ -11,11 +11,12 @@ from kc2spice.core.toml_text import format_toml
 from kc2spice.core.untrusted_files import parse_toml
 from kc2spice.scene.catalogue import CataloguePart
 from kc2spice.scene.keys import KeyDescription, list_part_keys
-from kc2spice.scene.load import PARTS_COMMAND, STRUCTURAL_KEYS, load_scene, make_unknown_type_error
+from kc2spice.scene.load import STRUCTURAL_KEYS, load_scene
 from kc2spice.scene.parttype import find_part_type, load_part_types
 from kc2spice.scene.probed_results import list_part_results
 from kc2spice.scene.scene_classes import DEFAULT_TABLES, Part, Scene, Terminal
 from kc2spice.scene.scene_file import list_gallery
+from kc2spice.scene.table_advice import PARTS_COMMAND, make_unknown_type_error
 
 
 @dataclass(frozen=True)
@@ -23,8 +24,10 @@ class PartTypeReference:
     """Description of a part type, with an example.
 
     ``optional_pins`` are pins that the example need not have, each with the key that adds the pin.
-    ``results`` are the names of the results of the example, without the name of the part. ``scene``
-    is the name of the built-in scene that contains the example, or None for other examples.
+    ``origin_of_pins`` states where the pins of a part come from, if parts of this type can have
+    different pins; otherwise it is empty. ``results`` are the names of the results of the example,
+    without the name of the part. ``scene`` is the name of the built-in scene that contains the
+    example, or None for other examples.
     """
 
     name: str
@@ -37,6 +40,7 @@ class PartTypeReference:
     scene: str | None
     short_for: tuple[str, ...]
     optional_pins: Mapping[str, str]
+    origin_of_pins: str
 
 
 def describe_part_types() -> Iterator[PartTypeReference]:
@@ -119,6 +123,7 @@ def _describe_type(name: str, examples: Mapping[str, tuple[str, Part, Scene]]) -
         scene_name,
         (DEFAULT_TABLES[name],) if name in DEFAULT_TABLES else (),
         {pin: key for pin, key in kind.optional_pins.items() if pin not in {t.name for t in pins}},
+        kind.origin_of_pins,
     )
 
 

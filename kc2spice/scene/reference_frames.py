@@ -11,13 +11,15 @@ acceleration a, a force F moves a mass m by the displacement x along the unit ve
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from operator import mul
 
-from kc2spice.core.domains import ACCELERATION, TRANSLATION, VELOCITY
+from kc2spice.core.domains import ACCELERATION, ACOUSTIC, THERMAL, TRANSLATION, VELOCITY
 from kc2spice.core.errors import UsageError
+from kc2spice.core.key_actions import SetKey
 from kc2spice.core.user_warnings import warn_user
 from kc2spice.scene.part_records import PERPENDICULAR_COSINE, AcceleratedFrame, FrameAcceleration
-from kc2spice.scene.scene_classes import Part, Scene
+from kc2spice.scene.scene_classes import GROUND, Part, Scene
 
 # units of pins that move a body or sense a motion
 MOTION_UNITS = (TRANSLATION.across.pin_unit, VELOCITY.pin_unit)
@@ -184,10 +186,7 @@ def _require_acceleration_pin(
             body = part.is_body
             hint = 'use part = "mass", or drive the body by a force instead of its acceleration'
             if body:
-                hint = (
-                    f'add a port of kind "base" to {part.name}, and connect its acceleration '
-                    "pin to the same source"
-                )
+                hint = f"{_advise_on_acceleration_pin(part, scene)} to the same source"
             raise UsageError(
                 f"{part.name} has inertia and moves with an accelerated frame, but has no input "
                 "for the acceleration",
@@ -208,6 +207,85 @@ def _require_acceleration_pin(
                 hint=f"state `axis` or `dof` of the ports of {frame.body}, or include the mass of "
                 f"{part.name} in the matrices of {frame.body}",
             )
+
+
+def _advise_on_acceleration_pin(part: Part, scene: Scene) -> str:
+    """Return the text ``connect PIN`` for the acceleration pin that a body has or can have."""
+    for terminal in part.type.pins(part, replace(scene, ports="all")):
+        if terminal.domain is ACCELERATION:
+            return f"connect {part.name}.{terminal.name}"
+    return f'add a port of kind "base" to {part.name}, and connect its acceleration pin'
+
+
+# For each domain: the energy storage of a part, the quantities relative to a pin to which this
+# storage applies, and the condition on this pin.
+_RESTS = {
+    TRANSLATION: ("inertia", "displacements", "does not move"),
+    ACOUSTIC: ("compliance", "pressures", "has a constant pressure"),
+    THERMAL: ("heat capacity", "temperatures", "has a constant temperature"),
+}
+
+
+def require_constant_pins(scene: Scene) -> None:
+    """Reject a varying displacement or pressure at a pin that must be constant.
+
+    A varying temperature causes only a warning, because a slow variation is harmless. In static
+    analyses, all pins are constant.
+
+    Raises
+    ------
+    UsageError : a displacement or pressure varies at a pin where it must be constant.
+    """
+    if scene.analysis.type in ("op", "dc"):
+        return
+    for part in scene.parts.values():
+        for pin, action in part.type.constant_pins(part, scene).items():
+            net, domain = scene.nets[part.name, pin], scene.terminals[part.name, pin].domain
+            if domain is None or net == "0" or _is_constant(net, scene):
+                continue
+            stored, quantities, condition = _RESTS[domain]
+            problem = (
+                f"the {stored} of {part.name} applies to {quantities} relative to its pin {pin}, "
+                f"so the model is valid only if {pin} {condition}"
+            )
+            if domain.is_relaxing:
+                warn_user(": ".join(filter(None, (f"{part.name}.{pin}", problem, action))))
+                continue
+            where, target = _find_join(part, pin, scene)
+            table, _, key = where.rpartition(".")
+            end = action and f"; {action}"
+            raise UsageError(
+                problem,
+                where=where,
+                got=target,
+                expected=GROUND,
+                hint=SetKey(table, key, f'"{GROUND}"', place="", end=end),
+            )
+
+
+def _is_constant(net: str, scene: Scene) -> bool:
+    """Return whether a constant ideal source holds a net relative to ground."""
+    for name, record in scene.records.items():
+        part, frequency = record.part, record.highest_frequency
+        ends = [set(scene.get_nets(name, pair)) for pair in record.rest.ideal]
+        if {net, "0"} not in ends:
+            continue
+        if scene.analysis.is_small_signal:
+            return not part.type.has_ac_source(part, scene)
+        return frequency is not None and frequency(0.0) == 0
+    return False
+
+
+def _find_join(part: Part, pin: str, scene: Scene) -> tuple[str, str]:
+    """Return the dotted key that joins a pin to another pin, and the target as typed."""
+    if pin in part.pins:
+        return f"{part.name}.pins.{pin}", part.pins[pin]
+    target = f"{part.name}.{pin}"
+    for other in scene.parts.values():
+        for end, joined in other.pins.items():
+            if joined == target:
+                return f"{other.name}.pins.{end}", target
+    return target, ", ".join(map(".".join, scene.list_joined_pins(part.name, pin)))
 
 
 def describe_frames(scene: Scene) -> Iterator[str]:

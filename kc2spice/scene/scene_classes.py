@@ -26,10 +26,12 @@ from typing_extensions import TypeVar
 from kc2spice.core.attribute_advice import WRITING_METHODS, AdvisesOnAttributes, make_index_error
 from kc2spice.core.domains import SIGNAL, Domain, Quantity, find_across_quantity, find_domain
 from kc2spice.core.errors import UsageError, unknown, wrong
+from kc2spice.core.key_actions import Hint
 from kc2spice.core.memory_store import Workspace
 from kc2spice.core.mesh_error_descriptions import describe_mesh_errors
 from kc2spice.core.quantities import Section
 from kc2spice.netlist.circuit import Element, Item
+from kc2spice.scene.override_origin import OverrideOrigin
 from kc2spice.scene.part_records import (
     AcceleratedFrame,
     DcSweep,
@@ -226,7 +228,7 @@ class Part(Generic[KeysT]):
         message: str,
         got: object = None,
         expected: str | None = None,
-        hint: str | None = None,
+        hint: Hint | None = None,
     ) -> UsageError:
         """Make the error for a wrong key of a part, or for the part if ``key`` is empty."""
         where = f"{self.name}.{key}" if key else self.name
@@ -284,7 +286,7 @@ class KeyLocator(Protocol):
     """Protocol of a class that locates keys in a scene file and in its overrides."""
 
     @property
-    def overrides(self) -> Mapping[tuple[str, ...], str]:
+    def overrides(self) -> Mapping[tuple[str, ...], OverrideOrigin]:
         """Overrides of keys: the origin of each override, keyed by the path of the key.
 
         An example of an origin is ``--set 'impact.velocity=-1'``.
@@ -404,6 +406,12 @@ class DeclaredScene(AdvisesOnAttributes):
         """End time of a transient [s], from the keys of the analysis or the solver."""
         stop = self.analysis.stop if self.analysis.type == "transient" else None
         return float(self.solver.stop if stop is None else stop)
+
+    @property
+    def has_default_stop_time(self) -> bool:
+        """Whether the scene has a transient whose end time no key states."""
+        stated = self.analysis.stop is not None or "stop" in self.solver.model_fields_set
+        return self.analysis.type == "transient" and not stated
 
     @property
     def bodies(self) -> tuple[Part, ...]:
@@ -824,6 +832,8 @@ class PartType(Generic[KeysT]):
     ports_of_files: ClassVar[bool] = False
     # pins that a part has only if its table contains a key, each with the name of this key
     optional_pins: ClassVar[Mapping[str, str]] = {}
+    # sentence about the origin of the pins, if different parts of the type have different pins
+    origin_of_pins: ClassVar[str] = ""
     # Dotted keys whose values are numbers of elements or of series terms.
     # The command ``verify`` also solves the scene with twice as many elements or series terms, and
     # compares the two solutions.
@@ -930,6 +940,16 @@ class PartType(Generic[KeysT]):
         is missing is rejected.
         """
         return ()
+
+    def constant_pins(self, part: Part[KeysT], scene: WiredScene) -> Mapping[str, str]:
+        """Return the pins whose displacement, pressure or temperature must be constant.
+
+        A model that stores energy relative to a pin is valid only if this pin is constant. For
+        example, the inertia of a clamped body applies to displacements relative to its pin
+        ``base``. The value for each pin is advice on how to model a varying quantity at this pin,
+        or an empty text.
+        """
+        return {}
 
     def problems(self, part: Part[KeysT], scene: GovernedScene) -> Iterable[UsageError]:
         """Yield an error for each invalid key or combination of keys of the part.

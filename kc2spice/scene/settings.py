@@ -14,6 +14,7 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from kc2spice.core.error_norms import NORM_WORDS
 from kc2spice.core.errors import UsageError
+from kc2spice.core.key_actions import DeleteKey, Hint
 from kc2spice.core.quantities import (
     Charge,
     Count,
@@ -74,8 +75,13 @@ class RomKeys(Section):
         (0.0, 500e3),
         description=(
             "Lowest and highest frequency of the band in which the error estimate of the "
-            "reduced model holds. Default: 0 to 500 kHz if `rom.order` or `rom.tolerance` "
-            "is stated, otherwise the band that `kc2spice explain` prints for the body"
+            "reduced model holds. Default if `rom.order` or `rom.tolerance` is stated: 0 to "
+            "500 kHz. Default in an ac or noise analysis: from 0.8 times the first to 1.2 times "
+            "the last frequency. Default in all other cases: from 0 to the highest frequency that "
+            "source edges and contacts excite, at least 10 kHz, but at most the 20th natural "
+            "frequency of the body. Edges in a user's netlist do not change the default band. "
+            "After a transient without contacts, a warning is printed if the voltage of an "
+            "electrode contains frequencies above the band. `kc2spice explain` prints the band"
         ),
     )
     norm: Literal["pointwise", "peak"] | None = Field(
@@ -100,7 +106,7 @@ class RomKeys(Section):
     def _reject_order_with_tolerance(cls, data: Any) -> Any:
         """Reject a reduction with both an order and an error tolerance."""
         if isinstance(data, dict) and "order" in data and "tolerance" in data:
-            hint = "delete the key `order`"
+            hint = DeleteKey("order")
             raise make_invalid_value_error(
                 "order and tolerance are both set", "either order or tolerance", hint=hint
             )
@@ -591,12 +597,12 @@ class ProbeKeys(Section):
             if key == "at" and self.take == "spl":
                 continue
             if self.take == take and not present:
-                hint = f"add  {key} = VALUE  to this probe"
+                hint: Hint = f"add  {key} = VALUE  to this probe"
                 raise make_invalid_value_error(
                     f'{key} is missing with take = "{take}"', f"the key `{key}`", hint=hint
                 )
             if self.take != take and present:
-                hint = f"delete take = {self.take!r}" if key == "at" else f"delete the key `{key}`"
+                hint = f"delete take = {self.take!r}" if key == "at" else DeleteKey(key)
                 problem = f'{key} has no effect with take = "{self.take}"'
                 raise make_invalid_value_error(problem, f'{key} with take = "{take}"', hint=hint)
         window = (self.from_, self.to, self.periods)
@@ -605,14 +611,14 @@ class ProbeKeys(Section):
             raise make_invalid_value_error(
                 "`at` cannot be combined with `from`, `to` or `periods`",
                 expected,
-                hint="delete the key `at`",
+                hint=DeleteKey("at"),
             )
         if self.periods is not None and (self.from_ is not None or self.to is not None):
             expected = "`periods`, or `from` and `to`"
             raise make_invalid_value_error(
                 "`periods` cannot be combined with `from` or `to`",
                 expected,
-                hint="delete the key `periods`",
+                hint=DeleteKey("periods"),
             )
         if self.from_ is not None and self.to is not None and self.from_ >= self.to:
             hint = "exchange `from` and `to`" if self.from_ > self.to else "raise the key `to`"

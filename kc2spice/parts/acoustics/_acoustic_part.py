@@ -14,7 +14,7 @@ from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 from typing_extensions import TypeVar
 
@@ -128,6 +128,9 @@ class AcousticPart(PartType[FluidKeysT]):
 
     source = "closed form"
     noise = ("Rnoise_*",)
+    encloses_fluid: ClassVar[bool] = True  # whether the walls of the part enclose the fluid
+    # advice to users in whose scenes the pressure at the pin ``ambient`` varies
+    varying_ambient_advice: ClassVar[str] = ""
 
     @abstractmethod
     def network(self, part: Part[FluidKeysT], scene: GovernedScene) -> AcousticNetwork:
@@ -169,6 +172,13 @@ class AcousticPart(PartType[FluidKeysT]):
     ) -> EquilibriumConditions:
         """Return the pin pairs between which a steady volume velocity can flow."""
         return EquilibriumConditions(self.steady_flow_paths(part))
+
+    def constant_pins(self, part: Part[FluidKeysT], scene: WiredScene) -> Mapping[str, str]:
+        """Return the pin ``ambient`` if its pressure must be constant.
+
+        The pressure must be constant if the walls of the part enclose a compressible fluid.
+        """
+        return {AMBIENT: self.varying_ambient_advice} if self.encloses_fluid else {}
 
     def subcircuits(
         self, part: Part[FluidKeysT], build: BuiltScene, header: Header

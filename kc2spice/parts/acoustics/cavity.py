@@ -110,6 +110,9 @@ class Cavity(AcousticPart[CavityKeys]):
 
     name, title = "cavity", "closed volume of fluid with heat loss to its walls"
     schema = CavityKeys
+    varying_ambient_advice = (
+        "for a leak to another volume, use an acoustic_resistor in place of the key `leak`"
+    )
     example = """
 [cavity]
 part = "cavity"

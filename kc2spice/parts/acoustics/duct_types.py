@@ -24,6 +24,7 @@ from pydantic import Field, model_validator
 from kc2spice.core import constitutive_laws as laws
 from kc2spice.core.domains import ACOUSTIC, AMBIENT
 from kc2spice.core.errors import UsageError
+from kc2spice.core.key_actions import DeleteKey, Hint
 from kc2spice.core.quantities import Count, Dimension, DuctLength, make_invalid_value_error, si
 from kc2spice.core.si_prefix_format import format_quantity
 from kc2spice.core.user_warnings import warn_user
@@ -103,7 +104,9 @@ class DuctKeys(FluidKeys):
         """Require exactly one of the keys ``radius`` and ``area``."""
         if (self.radius is None) == (self.area is None):
             number = "no size" if self.radius is None else "two sizes"
-            hint = 'add for example  radius = "1 mm"' if self.radius is None else "delete area"
+            hint: Hint = DeleteKey("area")
+            if self.radius is None:
+                hint = 'add for example  radius = "1 mm"'
             raise make_invalid_value_error(f"the duct has {number}", "radius or area", hint=hint)
         return self
 
@@ -483,15 +486,15 @@ stop = "3 kHz"
                 "a closed tube has no pin at its end b",
                 got=f"closed = true and pins.{FAR_END}",
                 expected=f"either closed = true or pins.{FAR_END}",
-                hint="delete the key `closed`",
+                hint=DeleteKey("closed"),
             )
         if keys.closed and keys.end_b != "none":
             yield part.wrong(
                 "end_b",
                 "a closed end cannot have an end correction",
-                got=keys.end_b,
-                expected="none",
-                hint="delete the key `end_b`",
+                got=f'closed = true and end_b = "{keys.end_b}"',
+                expected='end_b = "none", or closed = false',
+                hint=DeleteKey("end_b"),
             )
         if keys.sections is None and self._count_required_sections(part, scene) > MOST_SECTIONS:
             warn_user(

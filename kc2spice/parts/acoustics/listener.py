@@ -96,6 +96,7 @@ class Listener(PartType[ListenerKeys]):
     """
 
     name, title = "listener", "sound pressure at a point in the far field"
+    origin_of_pins = "A part has a pin `sound1`, `sound2`, … for each surface in its key `sources`."
     schema = ListenerKeys
     source = "closed form"
     example = """
@@ -337,8 +338,8 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
         frequency, levels = waves["frequency"].real, self._compute_levels(part, build, waves)
         largest = int(levels.argmax())
         return {
-            "frequency_hz": Metric(frequency.tolist(), "Hz"),
-            "level_db": Metric(levels.tolist(), "dB"),
+            "frequency_hz": Metric(frequency.tolist(), "Hz", curve=True),
+            "level_db": Metric(levels.tolist(), "dB", curve=True),
             "peak_level_db": Metric(float(levels[largest]), "dB"),
             "peak_level_frequency_hz": Metric(float(frequency[largest]), "Hz"),
         }

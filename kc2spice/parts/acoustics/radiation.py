@@ -13,6 +13,7 @@ from pydantic import Field, model_validator
 from kc2spice.core import constitutive_laws as laws
 from kc2spice.core.domains import ACOUSTIC, AMBIENT, SIGNAL
 from kc2spice.core.errors import UsageError
+from kc2spice.core.key_actions import DeleteKey
 from kc2spice.core.quantities import Dimension, make_invalid_value_error, si
 from kc2spice.core.si_prefix_format import format_quantity
 from kc2spice.core.user_warnings import warn_user
@@ -86,7 +87,7 @@ class RadiationKeys(FluidKeys):
             raise make_invalid_value_error(
                 "a pulsating sphere cannot have the key `motion`",
                 "no key `motion`",
-                hint="delete the key `motion`",
+                hint=DeleteKey("motion"),
             )
         return self
 
@@ -121,6 +122,7 @@ class Radiation(AcousticPart[RadiationKeys]):
 
     name, title = "radiation", "radiation impedance of a piston or a pulsating sphere"
     schema = RadiationKeys
+    encloses_fluid = False
     example = """
 [radiation]
 part = "radiation"

@@ -388,6 +388,7 @@ class ResonatorPart(PartWithPartNumber[KeysT]):
         from kc2spice.parts.bodies._linear_body import (
             compute_impedance,
             compute_impedance_metrics,
+            find_impedance_scope,
             warn_of_zero_voltage,
         )
 
@@ -395,7 +396,9 @@ class ResonatorPart(PartWithPartNumber[KeysT]):
         if response is None:
             warn_of_zero_voltage(part, build.scene, waves)
             return {}
-        return compute_impedance_metrics(part.name, *response)
+        plus = build.scene.pins(part.name)[0].name
+        scope = find_impedance_scope(part, plus, build.scene)
+        return compute_impedance_metrics(part.name, *response, scope=scope)
 
     def figures(self, part: Part[KeysT], build: BuiltScene, waves: Waveforms) -> Iterator[Figure]:
         """Yield the figures of the part for the report."""

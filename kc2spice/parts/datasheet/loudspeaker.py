@@ -148,6 +148,9 @@ class Loudspeaker(PartWithPartNumber[LoudspeakerKeys], DeclaredPartWithMass[Loud
     source = "data sheet"
     noise = ("Rnoise",)
     moving_pins = ("cone", "frame")
+    moving_frame_advice = (
+        "for a moving frame, use a voice_coil between cone and frame, and a mass at each of them"
+    )
     optional_pins: ClassVar[Mapping[str, str]] = {
         FRONT: f"pins.{FRONT}",
         REAR: f"pins.{REAR}",
@@ -340,8 +343,8 @@ stop = "1 kHz"
             return {} if share is None else {"efficiency": Metric(float(share[0]), "")}
         frequency, z = result
         rows = {
-            "frequency_hz": Metric(frequency.tolist(), "Hz"),
-            "impedance_ohm": Metric(np.abs(z).tolist(), "Ohm"),
+            "frequency_hz": Metric(frequency.tolist(), "Hz", curve=True),
+            "impedance_ohm": Metric(np.abs(z).tolist(), "Ohm", curve=True),
         }
         size = np.abs(z)
         if 0 < np.argmax(size) < len(size) - 1:  # the frequency range contains the maximum
@@ -349,7 +352,9 @@ stop = "1 kHz"
             rows["largest_impedance_hz"] = Metric(peak, "Hz")
             rows["largest_impedance_ohm"] = Metric(largest, "Ohm")
         share = compute_efficiency(part, build.scene, waves)
-        return rows if share is None else rows | {"efficiency": Metric(share.tolist(), "")}
+        return (
+            rows if share is None else rows | {"efficiency": Metric(share.tolist(), "", curve=True)}
+        )
 
     def figures(
         self, part: Part[LoudspeakerKeys], build: BuiltScene, waves: Waveforms

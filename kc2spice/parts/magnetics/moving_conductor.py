@@ -21,6 +21,7 @@ from typing_extensions import TypeVar
 from kc2spice.core.cache import load_or_build
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel, Shape
+from kc2spice.core.key_actions import ChangeKey
 from kc2spice.core.mesh_error_descriptions import describe_mesh_errors
 from kc2spice.core.progress import StageTimer
 from kc2spice.core.quantities import (
@@ -388,7 +389,7 @@ class MovingBody(DeclaredPart[MovingT]):
                         f"{keys.y_max:g} m"
                     ),
                     expected=f"y_min of at least {over:g} m, or y_max of at most {under:g} m",
-                    hint=f"raise {part.name}.y_min to {over:g} m",
+                    hint=ChangeKey("raise", f"{part.name}.y_min", "to", f"{over:g} m"),
                 )
 
     def outline(self, part: Part[MovingT], scene: Scene) -> Iterator[Shape]:
@@ -440,7 +441,7 @@ class MovingBody(DeclaredPart[MovingT]):
         try:
             return load_or_build(self.name, key, build, classes=(LoopModel,), sources=sources)
         except UsageError as error:  # the fit over the range of heights failed
-            details = str(error.message), error.got, error.expected, error.hint
+            details = str(error.message), error.got, error.expected, error.next_action
             raise part.wrong("y_max", *details) from None
 
     def metrics(

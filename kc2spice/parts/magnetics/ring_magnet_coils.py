@@ -24,6 +24,7 @@ from kc2spice.core.cache import load_or_build
 from kc2spice.core.domains import AMBIENT, BASE, DISPLACEMENT, HEAT, TRANSLATION
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, FileWriter, Panel, Shape
+from kc2spice.core.key_actions import ChangeKey
 from kc2spice.core.magnets import (
     CURRENT_EXPONENTS,
     FORCE_COEFFICIENTS,
@@ -342,9 +343,9 @@ class RingMagnetCoils(TouchablePart[RingMagnetCoilsKeys]):
                 got=f"a radius of {radius:g} m, which is the height of the centre",
                 expected=f"a radius between {keys.y_min:g} and {keys.y_max:g} m",
                 hint=(
-                    f"lower {part.name}.y_min below {radius:g} m"
+                    ChangeKey("lower", f"{part.name}.y_min", "below", f"{radius:g} m")
                     if radius <= keys.y_min
-                    else f"raise {part.name}.y_max above {radius:g} m"
+                    else ChangeKey("raise", f"{part.name}.y_max", "above", f"{radius:g} m")
                 ),
             )
         copper = keys.turns * np.pi / 4 * keys.wire_diameter**2

@@ -17,6 +17,7 @@ from kc2spice.core import constitutive_laws as laws
 from kc2spice.core.domains import AMBIENT, HEAT
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel, choose_time_unit
+from kc2spice.core.key_actions import DeleteKey
 from kc2spice.core.progress import StageTimer
 from kc2spice.core.si_prefix_format import format_quantity
 from kc2spice.core.user_warnings import warn_user
@@ -105,6 +106,7 @@ class Contact(DeclaredPart[ContactKeys]):
     """
 
     name = "contact"
+    origin_of_pins = "The pins of a part follow from the two surfaces that its keys name."
     title = "unilateral penalty contact"
     discretisations = ("spacing",)
     schema = ContactKeys
@@ -409,7 +411,7 @@ def _list_result_factors(pair: ContactPair) -> dict[str, float]:
 def _check_pressure_shape(pair: ContactPair) -> Iterator[UsageError]:
     """Check the keys of a contact with ``shape = "pressure"``, and yield each error."""
     part, a, b = pair.part, pair.lower_surface, pair.upper_surface
-    hint = "delete the key `shape`"
+    hint = DeleteKey("shape")
     if a.compliance is None:
         yield part.wrong(
             "shape",

@@ -14,6 +14,7 @@ from pydantic import Field
 from kc2spice.core.cache import load_or_build
 from kc2spice.core.domains import TRANSLATION
 from kc2spice.core.errors import UsageError
+from kc2spice.core.key_actions import DeleteKey
 from kc2spice.core.progress import StageTimer
 from kc2spice.fem.body_keys import BodyMeshKeys, DampingKeys
 from kc2spice.parts.bodies._linear_body import LinearBody
@@ -108,7 +109,7 @@ elastic = true
                 "damping per material does not apply to an elastic sphere",
                 got=True,
                 expected="ratio, quality or loss_factor",
-                hint="delete the key `per_material`",
+                hint=DeleteKey("per_material"),
             )
         if part.keys.damping.model != "rayleigh":
             yield owner.wrong(
@@ -271,9 +272,7 @@ def _find_contact(part: Part[ElasticSphereKeys], scene: GovernedScene) -> Part[C
             expected=(
                 'one contact with shape = "pressure", and with the name of a body in its key `a`'
             ),
-            hint="delete the key `elastic`"
-            if not result
-            else f"delete the contact {result[-1].name}",
+            hint=DeleteKey("elastic") if not result else f"delete the contact {result[-1].name}",
         )
     (contact,) = result
     if contact.keys.shape != "pressure":

@@ -139,6 +139,10 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
         pins = zip(_list_frame_pins(len(shakes)), shakes, strict=True)
         return {pin: ".".join(shake.pin) for pin, shake in pins}
 
+    def constant_pins(self, part: Part[MassKeys], scene: WiredScene) -> Mapping[str, str]:
+        """Return the pin ``base``, the origin of the displacement of the mass."""
+        return {"base": f"to move the mass, connect {part.name}.a to a moving part"}
+
     def equilibrium_conditions(
         self, part: Part[MassKeys], scene: WiredScene
     ) -> EquilibriumConditions:

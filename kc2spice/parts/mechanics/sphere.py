@@ -26,7 +26,7 @@ from kc2spice.core.quantities import (
 )
 from kc2spice.core.si_prefix_format import format_quantity
 from kc2spice.core.waveforms import Waveforms, integrate_cumulatively
-from kc2spice.fem.materials import Material, find_material
+from kc2spice.fem.materials import Material, find_material, find_stated_losses
 from kc2spice.netlist.circuit import make_positive_parameter
 from kc2spice.parts.control._pid_keys import PidKeys
 from kc2spice.parts.mechanics._contact_keys import ContactKeys
@@ -42,7 +42,7 @@ from kc2spice.scene.part_records import (
     PartResult,
 )
 from kc2spice.scene.parttype import compute_pin_forces, register_part_type
-from kc2spice.scene.plausibility import check_range
+from kc2spice.scene.plausibility import UnusualValueError, check_range
 from kc2spice.scene.scene_classes import (
     GROUND,
     BuiltScene,
@@ -79,7 +79,9 @@ def _load_material(name_or_table: str | dict[str, Any]) -> Material:
     try:
         return find_material(name_or_table, "sphere.material")
     except UsageError as error:
-        raise make_invalid_value_error(error.message, error.expected, hint=error.hint) from None
+        raise make_invalid_value_error(
+            error.message, error.expected, hint=error.next_action
+        ) from None
 
 
 class SphereKeys(Section):
@@ -216,6 +218,10 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
             for p in declared
         )
 
+    def constant_pins(self, part: Part[SphereKeys], scene: WiredScene) -> Mapping[str, str]:
+        """Return the pin ``base``, the origin of the height of the sphere."""
+        return {} if _has_prescribed_motion(part, scene) else {"base": ""}
+
     def problems(self, part: Part[SphereKeys], scene: GovernedScene) -> Iterator[UsageError]:
         """Yield an error for each invalid key of the part."""
         bodies = [body.name for body in scene.bodies]
@@ -230,6 +236,13 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
         keys, name = part.keys, part.name
         small = "smaller grains stick by adhesion, and no transducer moves larger balls"
         yield from check_range(f"{name}.radius", keys.radius, "m", 1e-6, 0.1, small)
+        for key, value in find_stated_losses(keys.material).items():
+            yield UnusualValueError(
+                "not used, because only elastic.damping states losses of a sphere",
+                where=f"{name}.material.{key}",
+                got=str(value),
+                hint=f"delete {name}.material.{key}",
+            )
 
     def contact_surface(
         self, part: Part[SphereKeys], scene: GovernedScene, ports: tuple[str, ...] = ()
