@@ -58,22 +58,23 @@ class AnalyserValues:
     quality: float
     coupling: float
     capacitance_f: float
+    capacitance_frequency_hz: float
     bvd: BVD
 
 
 # SI unit of each metric, and of each element in ``bvd``; dimensionless metrics are omitted
 METRIC_UNITS = {
     "resonance_hz": "Hz", "antiresonance_hz": "Hz", "capacitance_f": "F",
-    "c0_f": "F", "rm_ohm": "Ohm", "lm_h": "H", "cm_f": "F",
+    "capacitance_frequency_hz": "Hz", "c0_f": "F", "rm_ohm": "Ohm", "lm_h": "H", "cm_f": "F",
 }  # fmt: skip
 
 
 def analyse_impedance(frequency: np.ndarray, impedance_ohm: np.ndarray) -> AnalyserValues:
     """Return frequencies, Q factor, coupling and BVD circuit of the first resonance.
 
-    The samples are at increasing frequencies [Hz]. The field ``capacitance_f`` is Im(Y)/w at 1 kHz
-    or at a tenth of the resonance frequency, whichever is lower. If the frequency for
-    ``capacitance_f`` is below the lowest sample, Y of the fitted circuit is used.
+    The samples are at increasing frequencies [Hz]. The field ``capacitance_f`` is Im(Y)/w at
+    ``capacitance_frequency_hz``, which is 1 kHz or a tenth of the resonance frequency, whichever is
+    lower. If this frequency is below the lowest sample, Y of the fitted circuit is used.
 
     Raises
     ------
@@ -112,6 +113,7 @@ def analyse_impedance(frequency: np.ndarray, impedance_ohm: np.ndarray) -> Analy
         capacitance_f=float(
             np.interp(low, sampled_at, admittance.imag / (2 * np.pi * sampled_at))[0]
         ),
+        capacitance_frequency_hz=float(low[0]),
         bvd=bvd,
     )
 

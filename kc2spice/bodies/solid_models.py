@@ -166,6 +166,7 @@ def make_damped_model(solid: Solid, setup: BoundaryConditions) -> FiniteElementM
     facts = {"unknowns": unknowns, "mass_kg": bare.mass}
     facts[MESH_LIMIT_NAME] = find_mesh_frequency_limit(solid)
     facts |= {} if volts is None else {"depoling_voltage_v": volts}
+    facts |= _compute_loss_tangents(bare, setup)
     facts |= {
         get_area_key(port): compute_area(solid, facets) for port, facets in bare.faces.items()
     }
@@ -244,6 +245,41 @@ def _estimate_depoling_voltage(solid: Solid, setup: BoundaryConditions) -> float
     near = cKDTree(places[setup.electrodes[setup.reference]])
     distances, _ = near.query(places[np.concatenate([*setup.driven_electrodes.values()])])
     return float(np.array(limits, dtype=float).min() * distances.min())
+
+
+def get_loss_tangent_key(port: str) -> str:
+    """Return the key of an electrode's dielectric loss tangent in the ``facts`` of a model."""
+    return f"{port}_loss_tangent"
+
+
+def _compute_loss_tangents(bare: FiniteElementModel, setup: BoundaryConditions) -> dict[str, float]:
+    """Compute the loss tangent of each electrode from the loss tangents of the materials.
+
+    The loss tangent of an electrode is the mean of the loss tangents of the materials, weighted by
+    the energy of their electric fields while the body is clamped. The electrode has a voltage, and
+    all other electrodes are shorted. A material without a loss tangent counts as lossless. The
+    result is empty if the keys of the body do not select losses per material, or if they state the
+    loss tangent of the whole body.
+    """
+    solid, ports = bare.solid, [*setup.driven_electrodes]
+    if not setup.damping.uses_material_tangents or not ports:
+        return {}
+    tangents = {
+        number: material.loss_tangent or 0.0
+        for number, material in enumerate(solid.materials)
+        if material.is_piezoelectric or material.dielectric
+    }
+    if not any(tangents.values()):
+        return {}
+    if len({*tangents.values()}) == 1:
+        return dict.fromkeys(map(get_loss_tangent_key, ports), max(tangents.values()))
+    count = len(ports)
+    _, phi = bare.compute_nodal_values(np.zeros((bare.model.order, count)), np.eye(count))
+    matrices = {number: assemble_solid(solid, only=number).K_pp for number in tangents}
+    energies = {number: np.sum(phi * (K_pp @ phi), axis=0) for number, K_pp in matrices.items()}
+    losses = np.sum([tangents[number] * energy for number, energy in energies.items()], axis=0)
+    means = losses / np.sum([*energies.values()], axis=0)
+    return {get_loss_tangent_key(port): float(x) for port, x in zip(ports, means, strict=True)}
 
 
 def add_rayleigh_damping(model: LinearModel, damping: DampingKeys) -> LinearModel:

@@ -10,6 +10,7 @@ from typing import Any, Literal
 from pydantic import Field, model_validator
 
 from kc2spice.core.errors import UsageError
+from kc2spice.core.key_actions import ChangeKey, DeleteKey
 from kc2spice.core.quantities import (
     Count,
     Extent,
@@ -247,14 +248,15 @@ class StackKeys(Section):
                 raise make_invalid_value_error(
                     "write height or layer_thickness, not both: height = layers * layer_thickness",
                     None,
-                    hint="delete the key `height`",
+                    hint=DeleteKey("height"),
                 )
         outermost, half = self.mesh.rings * self.mesh.ring_spacing, min(self.half_widths)
         if outermost > half * (1 - 1e-6):
             fitting = int(half * (1 - 1e-6) // self.mesh.ring_spacing)
             spacing = float(f"{0.9 * half / self.mesh.rings:.2g}")
-            hint = f"lower mesh.rings to {fitting}"
-            hint = hint if fitting else f"lower mesh.ring_spacing to {spacing:g} m"
+            hint = ChangeKey("lower", "mesh.rings", "to", str(fitting))
+            if not fitting:
+                hint = ChangeKey("lower", "mesh.ring_spacing", "to", f"{spacing:g} m")
             raise make_invalid_value_error(
                 (
                     f"mesh.rings: a contact ring of radius {outermost:g} m does not fit on the "
@@ -271,7 +273,7 @@ class StackKeys(Section):
             _ = self.ceramic
         except UsageError as error:
             raise make_invalid_value_error(
-                error.message, error.expected, "material", error.hint
+                error.message, error.expected, "material", error.next_action
             ) from None
         return self
 

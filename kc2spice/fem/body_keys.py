@@ -55,7 +55,9 @@ class DampingKeys(Section):
     frequency f is given, ``beta`` is ``zeta / (pi f)``; the key ``at`` states f. Two damping ratios
     at two frequencies determine ``alpha`` and ``beta`` by the equation ``zeta = alpha/(2 omega) +
     beta omega/2``. With ``per_material``, E is the sum of ``K_i/(Q_i omega)`` over all materials i.
-    Q_i is the Q factor of material i, and K_i the stiffness matrix of its elements.
+    Q_i is the Q factor of material i, and K_i the stiffness matrix of its elements. The loss
+    tangent of the body is then the mean of the loss tangents of its piezoelectric materials,
+    weighted by the energy of their electric fields. The key ``loss_tangent`` replaces this mean.
 
     ``model = "ieee176"`` selects the complex material constants of IEEE Std 176. The Q factor is
     then the same for all modes. The scene states the material constants at the frequency ``at``, by
@@ -88,7 +90,8 @@ class DampingKeys(Section):
     per_material: bool = Field(
         False,
         description=(
-            "Whether the damping of the body is computed from the Q factors of its materials"
+            "Whether the losses of the body follow from the Q factors and loss tangents of its "
+            "materials"
         ),
     )
     at: Frequency | tuple[Frequency, Frequency] | None = Field(
@@ -202,6 +205,11 @@ class DampingKeys(Section):
         """Damping key that states the loss of the body; empty if no key states it."""
         names = ("ratio", "quality", "loss_factor", "per_material")
         return next((name for name in names if getattr(self, name)), "")
+
+    @property
+    def uses_material_tangents(self) -> bool:
+        """Whether the loss tangents of the materials determine the dielectric loss."""
+        return self.per_material and self.loss_tangent is None
 
     @property
     def key_at_first_resonance(self) -> str:

@@ -2,16 +2,21 @@
 
 The cubic functions are hierarchical: the quadratic and cubic functions together span all cubic
 polynomials on triangles and tetrahedra. On quadrilaterals, the quadratic and cubic functions span
-all products of cubic polynomials in x and in y. Each cubic function belongs to an edge, a face or
-the interior of an element. All cubic functions are zero at the nodes of the solid:
+all products of cubic polynomials in x and in y. On hexahedra, the cubic functions are cubic in only
+one direction. Each cubic function belongs to an edge, a face or the interior of an element. All
+cubic functions are zero at the nodes of the solid:
 
     l_i l_j (l_j - l_i)   on edges of simplices, with barycentric coordinates l
     l_i l_j l_k           on faces of tetrahedra and in triangles
     b_3(x) l(y)           on edges of quadrilaterals, with l(y) = y or 1 - y
-    b_3(x) b_2(y), b_2(x) b_3(y), b_3(x) b_3(y)    in quadrilaterals,
+    b_3(x) b_2(y), b_2(x) b_3(y), b_3(x) b_3(y)    in quadrilaterals
+    b_3(x) l(y) l(z)      on edges of hexahedra
+    b_3(x) b_2(y) l(z), b_2(x) b_3(y) l(z)         on faces of hexahedra,
 
 with ``b_2 = x (1 - x)`` and ``b_3 = x (1 - x) (2 x - 1)``. The function of an edge changes sign if
-the direction of the edge is reversed.
+the direction of the edge is reversed. The function of a hexahedron's face changes sign if the
+direction of its factor b_3 is reversed. Hexahedra have no functions of their interior, because the
+functions of edges and faces already correct the errors of long elements.
 
 :func:`assemble_enrichment` integrates all matrix entries that belong to cubic functions. The matrix
 entries between quadratic functions are integrated by :mod:`kc2spice.fem.solid`. Source: B. Szabo
@@ -29,7 +34,7 @@ import numpy as np
 import skfem
 from scipy import sparse
 from scipy.special import roots_jacobi
-from skfem.mesh import MeshQuad, MeshTet
+from skfem.mesh import MeshHex, MeshQuad, MeshTet
 
 from kc2spice.fem.materials import Material
 from kc2spice.fem.solid import VOIGT_ROWS, Solid, list_tensors
@@ -48,7 +53,8 @@ class ShapeFunction(NamedTuple):
 
     The values have the shape (points,), and the gradients the shape (d, points). ``corners`` lists
     the corners of the edge, triangle or quadrilateral to which the function belongs. For an edge,
-    the order of the two corners states the direction of the edge.
+    the order of the two corners states the direction of the edge. For a face of a hexahedron, the
+    first two and the last two corners are the ends of the edges along which the function is cubic.
     """
 
     corners: tuple[int, ...]
@@ -209,12 +215,12 @@ def evaluate_shape_functions(solid: Solid, X: np.ndarray) -> list[ShapeFunction]
 
     ``X`` (d, points) contains the points.
     """
-    on_element = (
-        _evaluate_quadrilateral_functions
-        if isinstance(solid.mesh, MeshQuad)
-        else _evaluate_simplex_functions
-    )
-    return on_element(np.asarray(solid.element.refdom.p, float), X)
+    corners = np.asarray(solid.element.refdom.p, float)
+    if isinstance(solid.mesh, MeshHex):
+        return _evaluate_hexahedron_functions(corners, X)
+    if isinstance(solid.mesh, MeshQuad):
+        return _evaluate_quadrilateral_functions(corners, X)
+    return _evaluate_simplex_functions(corners, X)
 
 
 def _evaluate_simplex_functions(corners: np.ndarray, X: np.ndarray) -> list[ShapeFunction]:
@@ -254,6 +260,35 @@ def _evaluate_quadrilateral_functions(corners: np.ndarray, X: np.ndarray) -> lis
     return result
 
 
+def _evaluate_hexahedron_functions(corners: np.ndarray, X: np.ndarray) -> list[ShapeFunction]:
+    """Evaluate the cubic shape functions of the edges and faces of the unit cube."""
+    square, cube = X * (1 - X), X * (1 - X) * (2 * X - 1)
+    ends = [(1 - X, -np.ones(X.shape)), (X, np.ones(X.shape))]
+    bubble, cubic = (square, 1 - 2 * X), (cube, -1 + 6 * X - 6 * X**2)
+    number = {tuple(corner): i for i, corner in enumerate(np.rint(corners).astype(int).T)}
+    result = []
+    for axis, *others in ((0, 1, 2), (1, 0, 2), (2, 0, 1)):
+        for kinds in product((0, 1, None), repeat=2):
+            if kinds == (None, None):
+                continue
+            factors = {axis: cubic}
+            # coordinates of the corners of the edge or face
+            spans: dict[int, tuple[int, ...]] = {axis: (0, 1)}
+            for other, side in zip(others, kinds, strict=True):
+                factors[other] = bubble if side is None else ends[side]
+                spans[other] = (0, 1) if side is None else (side,)
+            entity = []
+            for sides in product(*(spans[other] for other in others), (0, 1)):
+                place = dict(zip((*others, axis), sides, strict=True))
+                entity.append(number[place[0], place[1], place[2]])
+            values = np.prod([factors[k][0][k] for k in range(3)], axis=0)
+            gradients = np.ones(X.shape)
+            for row, k in product(range(3), repeat=2):
+                gradients[row] *= factors[k][1 if k == row else 0][k]
+            result.append(ShapeFunction(tuple(entity), values, gradients))
+    return result
+
+
 def _index_functions(
     solid: Solid, functions: Sequence[ShapeFunction]
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -266,6 +301,11 @@ def _index_functions(
     element = np.arange(corners.shape[1])
     keys, signs = [], []
     for index, function in enumerate(functions):
+        if isinstance(solid.mesh, MeshHex) and len(function.corners) == 4:
+            key, sign = _identify_face_functions(corners[list(function.corners)])
+            keys.append(key)
+            signs.append(sign)
+            continue
         at = np.sort(corners[list(function.corners)], axis=0)
         turned = (len(at) == 2) & (at[0] != corners[function.corners[0]])
         signs.append(np.where(turned, -1.0, 1.0))
@@ -273,6 +313,21 @@ def _index_functions(
         keys.append(inside if len(at) == 4 else np.array([at[0], at[1], at[-1]]))
     _, numbers = np.unique(np.concatenate(keys, axis=1), axis=1, return_inverse=True)
     return numbers.reshape(len(functions), -1), np.array(signs)
+
+
+def _identify_face_functions(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return keys that identify a face function of each hexahedron, and its signs.
+
+    The array of keys has the shape (3, elements), and the array of signs the shape (elements,).
+    ``corners`` (4, elements) are the corners of the face. The function is cubic from the first to
+    the second corner, and from the third to the fourth corner. Two hexahedra with a common face
+    have equal keys for the same function.
+    """
+    element, first = np.arange(corners.shape[1]), corners.argmin(axis=0)
+    # corner on the same cubic edge as the first corner, and corner diagonal to the first corner
+    neighbour, opposite = corners[first ^ 1, element], corners[3 - first, element]
+    key = np.array([corners[first, element], opposite, neighbour])
+    return key, np.where(first % 2, -1.0, 1.0)
 
 
 def _find_entity_nodes(solid: Solid, functions: Sequence[ShapeFunction]) -> list[np.ndarray]:
@@ -285,6 +340,8 @@ def _find_entity_nodes(solid: Solid, functions: Sequence[ShapeFunction]) -> list
     result = []
     for function in functions:
         first, *others = corners[:, list(function.corners), None].transpose(1, 0, 2)
+        if len(corners) == 3 and len(others) == 3:
+            others = others[:2]  # three corners define the plane of a hexahedron's face
         span = np.hstack(others) - first
         share = np.linalg.lstsq(span, places - first, rcond=None)[0]
         away = np.abs(span @ share - (places - first)).max(axis=0)

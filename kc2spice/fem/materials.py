@@ -29,7 +29,7 @@ from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from itertools import chain
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeAlias
+from typing import Annotated, Any, ClassVar, Literal, TypeAlias
 
 import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
@@ -43,6 +43,7 @@ from kc2spice.core.errors import (
     name_part_in_errors,
     wrong,
 )
+from kc2spice.core.key_actions import DeleteKey
 from kc2spice.core.key_errors import validate_table
 from kc2spice.core.quantities import (
     EPSILON_0,
@@ -349,7 +350,9 @@ def _convert_to_unit(unit: str, value: object) -> object:
     try:
         return convert_quantity(value, unit)
     except UsageError as error:
-        raise make_invalid_value_error(error.message, error.expected, hint=error.hint) from None
+        raise make_invalid_value_error(
+            error.message, error.expected, hint=error.next_action
+        ) from None
 
 
 _Tensor: TypeAlias = dict[str, float] | list[list[float]]
@@ -357,6 +360,13 @@ _Modulus: TypeAlias = float | list[float]
 
 
 _ELASTIC_KEYS = ("youngs_modulus", "stiffness", "compliance")
+
+
+# hints for keys that users and other programs write in place of the key ``like`` of a material
+BASE_KEY_HINTS = {
+    word: f"write `like` in place of `{word}`"
+    for word in ("base", "from", "material", "name", "parent", "inherits", "copy", "based_on")
+}
 
 
 def make_unknown_base_error(name: str, known: Sequence[str]) -> PydanticCustomError:
@@ -384,6 +394,8 @@ class MaterialTable(Section):
     may omit constants. The omitted constants are taken from the built-in material that ``like``
     names.
     """
+
+    unsupported_key_hints: ClassVar[Mapping[str, str]] = BASE_KEY_HINTS
 
     like: str | None = Field(
         None,
@@ -546,7 +558,7 @@ class MaterialTable(Section):
             raise make_invalid_value_error(
                 "a material with conductor = true cannot have piezoelectric constants",
                 None,
-                hint="delete the key `conductor`",
+                hint=DeleteKey("conductor"),
             )
         unknown = set(self.sources) - set(type(self).model_fields)
         if unknown:
@@ -892,3 +904,9 @@ def find_material(
             hint=hint,
         )
     return _load_material(_list_library_names()[name_or_table.lower()])
+
+
+def find_stated_losses(name_or_table: str | Mapping[str, Any] | None) -> dict[str, Any]:
+    """Return the Q factor and the loss tangent that a material table itself states."""
+    table = name_or_table if isinstance(name_or_table, Mapping) else {}
+    return {name: table[name] for name in ("quality", "loss_tangent") if table.get(name)}

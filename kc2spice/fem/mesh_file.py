@@ -28,6 +28,7 @@ from skfem.mesh import Mesh
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import UsageError, list_candidates, unknown, wrong
 from kc2spice.core.files import suggest_file
+from kc2spice.core.key_actions import DeleteKey
 from kc2spice.core.other_file_formats import SURFACE_SUFFIXES
 from kc2spice.core.quantities import convert_quantity
 from kc2spice.core.untrusted_files import call_in_child, read_bounded
@@ -197,7 +198,7 @@ def read_mesh(
             "a STEP file is converted from its own unit to mm, so no other unit is possible",
             got=f"a unit of {unit:g} m",
             expected='no key `unit`, or  unit = "mm"',
-            hint="delete the key `unit`",
+            hint=DeleteKey("unit"),
         )
     cad = path.suffix.lower() in CAD_SUFFIXES
     if cad == (size is None):
@@ -213,7 +214,7 @@ def read_mesh(
             f"size has no effect on a {path.suffix} file, which contains elements already",
             got=f"{size:g} m",
             expected="no size",
-            hint="delete the key `size`",
+            hint=DeleteKey("size"),
         )
     if picks and not cad:
         raise wrong(

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -21,7 +21,7 @@ from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import UsageError, did_you_mean, list_candidates, wrong
 from kc2spice.core.key_errors import validate_table
 from kc2spice.core.quantities import Density, Section, make_invalid_value_error, si
-from kc2spice.fem.materials import find_material, make_unknown_base_error
+from kc2spice.fem.materials import BASE_KEY_HINTS, find_material, make_unknown_base_error
 
 Conductivity = Annotated[float, si("W/(m K)")]
 SpecificHeat = Annotated[float, si("J/(kg K)")]
@@ -57,6 +57,8 @@ class ThermalMaterialTable(Section):
     A table with the key ``like`` may omit constants. The omitted constants are taken from the
     built-in material that ``like`` names.
     """
+
+    unsupported_key_hints: ClassVar[Mapping[str, str]] = BASE_KEY_HINTS
 
     like: str | None = Field(
         None,

@@ -41,6 +41,7 @@ A constant loss tangent of the dielectric
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -50,9 +51,12 @@ import scipy
 from kc2spice.core.domains import ACCELERATION, PORTS
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import UsageError
+from kc2spice.core.key_actions import DeleteKey
 from kc2spice.rom.error_estimate import ErrorEstimator, estimate_errors_above_band
 from kc2spice.rom.linear_model import Certificate, LinearModel, Port
 from kc2spice.rom.response import Response
+from kc2spice.rom.soft_support import count_rigid_body_modes
+from kc2spice.rom.state_space import normalise_modes
 
 # A relative coupling of modes up to this limit counts as a rounding error of proportional damping.
 # A larger coupling of modes indicates damping that is not proportional.
@@ -487,6 +491,8 @@ POINTS_PER_DECADE = 30
 MAX_RELAXATIONS = 6  # largest number of relaxation terms per decade
 # permitted error of Foster's sum, relative to the smaller of the loss tangent and 0.01
 LOSS_ERROR_SHARE = 0.02
+# A clamped loss tangent counts as zero up to this ratio to the largest loss tangent.
+NEGLIGIBLE_TANGENT_RATIO = 1e-9
 
 
 def compute_permittivity_ratio(frequency: np.ndarray, tangent: float) -> np.ndarray:
@@ -522,6 +528,8 @@ def compute_clamped_loss_tangent(tangent: float, ratio: float) -> float:
             where="damping.loss_tangent",
             got=f"{tangent:g}",
             expected=f"less than {1 / ratio:.3g}",
+            hint=f"write a smaller loss tangent, for example  loss_tangent = {0.5 / ratio:.1g}  in "
+            "the table `damping`",
         )
     delta = math.atan(tangent)
     return math.tan(delta + math.asin(ratio * math.sin(delta)))
@@ -556,53 +564,122 @@ def fit_foster_network(
     return *result, best
 
 
-def add_dielectric_loss(model: Resonators, tangent: float) -> Resonators:
-    """Add dielectric loss to a model by massless modes, which represent relaxations.
+def add_dielectric_loss(model: LinearModel, tangents: Sequence[float]) -> LinearModel:
+    """Add dielectric loss to a model by massless states, which represent relaxations.
 
-    ``tangent`` is the loss tangent of the mechanically free body at 1 kHz. The loss tangent is
-    constant in the band of the certificate. The error estimate in the certificate of the result
-    includes the deviation of the loss tangent from a constant. The motional and the clamped
-    capacitance are sums over the electrodes: each electrode contributes its capacitance while all
-    other electrodes are shorted.
+    ``tangents`` contains the loss tangent of the mechanically free body at 1 kHz for each
+    electrode, while all other electrodes are shorted. The loss tangents are constant in the band of
+    the certificate. The error estimate in the certificate of the result includes the deviation of
+    the loss tangents from a constant. The relaxations are electrically in parallel with the clamped
+    capacitances, so they do not depend on the mechanical damping. The mechanical damping may
+    couple modes.
 
     Raises
     ------
     UsageError : the model has no certificate or no electrodes, or the clamped capacitance is too
-    small for the loss tangent.
+    small for a loss tangent.
     """
     known = model.certificate
     electrical = [k for k, port in enumerate(model.ports) if port.electrical]
-    if known is None or not electrical:
+    if known is None or not electrical or model.first_order:
         raise UsageError(
             "this body has no dielectric, so it cannot have a loss tangent",
             where="damping.loss_tangent",
             expected="a body with electrodes",
-            hint="delete the key `loss_tangent`",
+            hint=DeleteKey("loss_tangent"),
         )
+    K, E, M = model.pencil.make_dense().coefficients
+    if any(not np.array_equal(P, np.diag(np.diag(P))) for P in (K, M)):
+        model = _use_modal_coordinates(model)
+        K, E, M = model.pencil.make_dense().coefficients
     D = model.D[np.ix_(electrical, electrical)]
-    motional = np.sum((model.gain[:, electrical] / model.omega[:, None]) ** 2)
-    clamped_loss = compute_clamped_loss_tangent(tangent, float(motional / np.trace(D)))
-    amplitude, rates, fit_error = fit_foster_network(
-        clamped_loss, known.band_hz, LOSS_ERROR_SHARE * min(tangent, 0.01)
-    )
-    w, V = np.linalg.eigh(D)
-    root = (V * np.sqrt(np.maximum(w, 0.0)))[:, w > 0]
-    used = amplitude[1:] > 0
-    omega = np.repeat(rates[used], root.shape[1])
-    gain = np.zeros((len(omega), len(model.ports)))
-    gain[:, electrical] = omega[:, None] * np.vstack(
-        [np.sqrt(a) * root.T for a in amplitude[1:][used]]
-    )
+    elastic = np.diag(K) > 0
+    shares = model.B[elastic][:, electrical] / np.sqrt(np.diag(K)[elastic])[:, None]
+    motional = np.sum(shares**2, axis=0)
+    limit = LOSS_ERROR_SHARE * min(min(filter(None, tangents)), 0.01)
+    instantaneous, errors, count = np.zeros_like(D), [0.0], 0
+    paces, gains = [np.empty(0)], [np.empty((0, len(electrical)))]
+    for loss, columns in _split_clamped_capacitances(D, motional, tangents):
+        if loss <= NEGLIGIBLE_TANGENT_RATIO * max(tangents):
+            instantaneous += columns @ columns.T
+            continue
+        amplitude, rates, error = fit_foster_network(loss, known.band_hz, limit)
+        used = amplitude[1:] > 0
+        pace = np.repeat(rates[used], columns.shape[1])
+        gain = np.vstack([np.sqrt(a) * columns.T for a in amplitude[1:][used]])
+        paces.append(pace)
+        gains.append(pace[:, None] * gain)
+        instantaneous += amplitude[0] * (columns @ columns.T)
+        errors.append(error)
+        count += int(used.sum())
+    pace, B = np.concatenate(paces), np.zeros((sum(map(len, gains)), len(model.ports)))
+    B[:, electrical] = np.vstack(gains)
     clamped = model.D.copy()
-    clamped[np.ix_(electrical, electrical)] = amplitude[0] * D
-    method = f"{known.method}; loss tangent of {tangent:g} at 1 kHz approximated by {used.sum()} "
-    method += f"relaxations, with a relative error of the permittivity of {fit_error:.1e}"
+    clamped[np.ix_(electrical, electrical)] = instantaneous
+    texts = " and ".join(f"{value:g}" for value in sorted(set(tangents)))
+    method = f"{known.method}; loss tangent of {texts} at 1 kHz approximated by {count} "
+    method += f"relaxations, with a relative error of the permittivity of {max(errors):.1e}"
+    error_estimate = known.error_estimate + max(errors)
     return replace(
         model,
-        omega=np.r_[model.omega, omega],
-        damp=np.r_[model.damp, omega],
-        gain=np.vstack([model.gain, gain]),
+        M=scipy.linalg.block_diag(M, np.zeros((pace.size, pace.size))),
+        E=scipy.linalg.block_diag(E, np.diag(pace)),
+        K=scipy.linalg.block_diag(K, np.diag(pace**2)),
+        rayleigh=None,
+        B=np.vstack([model.B, B]),
+        C=np.hstack([model.C, B.T]),
         D=clamped,
-        massless=model.massless + len(omega),
-        certificate=replace(known, error_estimate=known.error_estimate + fit_error, method=method),
+        basis=None,
+        certificate=replace(known, error_estimate=error_estimate, method=method),
+    )
+
+
+def _split_clamped_capacitances(
+    D: np.ndarray, motional: np.ndarray, tangents: Sequence[float]
+) -> list[tuple[float, np.ndarray]]:
+    """Split the matrix D of the clamped capacitances into parts with one loss tangent each.
+
+    Return the clamped loss tangent of each part, and a matrix R. The capacitances of the part are
+    ``R R'``, and their sum over all parts is D. ``motional`` contains the motional capacitance of
+    each electrode, and ``tangents`` the loss tangents of the free body.
+
+    If all loss tangents are equal, there is one part. Its clamped loss tangent follows from the
+    sums of the motional and of the clamped capacitances over all electrodes. Otherwise, each
+    electrode k has its own clamped loss tangent ``t_k``. The imaginary part of the clamped
+    capacitances is then ``T D T`` with ``T = diag(t_k^(1/2))``.
+    """
+    w, V = np.linalg.eigh(D)
+    root = (V * np.sqrt(np.maximum(w, 0.0)))[:, w > 0]
+    if len(set(tangents)) == 1:
+        loss = compute_clamped_loss_tangent(tangents[0], float(motional.sum() / np.trace(D)))
+        return [(loss, root)]
+    ratios = motional / np.diag(D)
+    losses = [*map(compute_clamped_loss_tangent, tangents, map(float, ratios))]
+    half = np.linalg.pinv(root) @ (np.sqrt(losses)[:, None] * root)
+    size, turn = np.linalg.eigh(half @ half.T)
+    return [
+        (float(one), column[:, None]) for one, column in zip(size, (root @ turn).T, strict=True)
+    ]
+
+
+def _use_modal_coordinates(model: LinearModel) -> LinearModel:
+    """Return a symmetric model in mass-normalised modal coordinates; damping may couple modes.
+
+    The rigid-body modes of the result have no stiffness.
+    """
+    K, E, M = model.pencil.make_dense().coefficients
+    T, squares = normalise_modes(M, K)
+    assert squares is not None
+    ascending = np.argsort(squares)
+    T, squares = T[:, ascending], squares[ascending]
+    squares[: count_rigid_body_modes(squares)] = 0.0
+    return replace(
+        model,
+        M=np.eye(len(M)),
+        E=T.T @ E @ T,
+        K=np.diag(squares),
+        rayleigh=None,
+        B=T.T @ model.B,
+        C=model.C @ T,
+        basis=None,
     )

@@ -26,6 +26,14 @@ MAX_COUPLING = 1e-8  # largest relative coupling of modes by damping that counts
 RIGID_ROUNDING = 1e-6
 
 
+def count_rigid_body_modes(squares: np.ndarray) -> int:
+    """Count the rigid-body modes in ascending squared frequencies [rad^2/s^2]."""
+    free = 0
+    while free + 1 < squares.size and squares[free] < ZERO_FREQUENCY_RATIO * squares[free + 1]:
+        free += 1
+    return free
+
+
 def support_softly(rom: LinearModel, band: tuple[float, float]) -> LinearModel:
     """Return a model in modal coordinates with a soft support of its rigid-body modes.
 
@@ -65,9 +73,7 @@ def support_softly(rom: LinearModel, band: tuple[float, float]) -> LinearModel:
         w2, V = scipy.linalg.eigh(K, M)
     except np.linalg.LinAlgError:  # the mass matrix is singular
         return rom
-    free = 0
-    while free + 1 < w2.size and w2[free] < ZERO_FREQUENCY_RATIO * w2[free + 1]:
-        free += 1
+    free = count_rigid_body_modes(w2)
     damping = V.T @ E @ V
     damp = np.maximum(np.diag(damping), 0.0)
     scale = np.sqrt(np.outer(damp, damp))[free:, free:] + np.finfo(float).tiny

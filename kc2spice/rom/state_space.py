@@ -80,7 +80,7 @@ def _make_modal_state_space(pencil: Pencil, omega: float) -> ABCD:
     The coordinates z are mass-normalised, and they are modal coordinates if K is symmetric.
     """
     K, E, M = pencil.coefficients
-    T, stiffness = _normalise_modes(M, K)
+    T, stiffness = normalise_modes(M, K)
     K, E, B, C = T.T @ K @ T, T.T @ E @ T, T.T @ pencil.B, pencil.C @ T
     w = np.full(len(M), omega)
     if stiffness is not None:
@@ -98,12 +98,13 @@ def _make_modal_state_space(pencil: Pencil, omega: float) -> ABCD:
     return A[np.ix_(pairs, pairs)], drive[pairs], read[:, pairs], pencil.D
 
 
-def _normalise_modes(M: np.ndarray, K: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return mass-normalised coordinates T with ``T'MT = 1``.
+def normalise_modes(M: np.ndarray, K: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+    """Return mass-normalised modes: T, for which ``T'MT`` is the identity matrix.
 
-    If K is symmetric, T also diagonalises K, and the second result contains the eigenvalues. If K
-    is not symmetric, the second result is None. For a definite K, the eigenvalue problem ``M phi =
-    mu K phi`` gives accurate low modes.
+    If K is symmetric, the columns of T are mode shapes, so that T also diagonalises K, and the
+    second result contains the eigenvalues. If K is not symmetric, T is triangular, and the second
+    result is None. For a definite K, the eigenvalue problem ``M phi = mu K phi`` gives accurate low
+    modes.
     """
     if find_largest_entry(K - K.T) > COUPLING * find_largest_entry(K):
         return scipy.linalg.solve_triangular(scipy.linalg.cholesky(M), np.eye(len(M))), None

@@ -64,6 +64,7 @@ signals ``u1``, ``u2``, …, and the rows of C are the output signals ``y1``, ``
 from __future__ import annotations
 
 import math
+import re
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
@@ -101,6 +102,7 @@ from kc2spice.core.errors import UsageError, did_you_mean, list_candidates
 from kc2spice.core.key_errors import validate_table
 from kc2spice.core.quantities import Count, Section, make_invalid_value_error
 from kc2spice.core.toml_errors import parse_toml_file
+from kc2spice.core.units import parse_unit
 from kc2spice.core.untrusted_files import MAX_TEXT_BYTES, decode_text, read_bounded
 from kc2spice.fem.body_keys import reject_overcritical_damping
 from kc2spice.rom.linear_model import PORT_KINDS, Port
@@ -126,8 +128,13 @@ def _require_printable(value: str) -> str:
     return value
 
 
-def _require_word(value: str) -> str:
-    """Reject a unit of several words, because netlist headers contain the unit."""
+def _require_one_word_unit(value: str) -> str:
+    """Return a unit without blanks, because blanks separate words in netlist headers.
+
+    Blanks between the factors of a known unit become ``*``. All other blanks are rejected.
+    """
+    if len(value.split()) > 1 and parse_unit(value) is not None:
+        value = re.sub(r" *([/()*]) *", r"\1", " ".join(value.split())).replace(" ", "*")
     if value and len(value.split()) != 1:
         hint = f"write the unit without blanks: {value.replace(' ', '*')}"
         raise make_invalid_value_error("this text is not a unit", "one word", hint=hint)
@@ -191,7 +198,10 @@ Dof = Annotated[int, BeforeValidator(_parse_dof)]
 Point = tuple[Finite, Finite, Finite]
 Axis = Annotated[Point, BeforeValidator(_parse_axis), AfterValidator(_normalise_axis)]
 Unit = Annotated[
-    str, Field(max_length=32), AfterValidator(_require_word), AfterValidator(_require_printable)
+    str,
+    Field(max_length=32),
+    AfterValidator(_require_one_word_unit),
+    AfterValidator(_require_printable),
 ]
 Rayleigh = tuple[float, float]
 Letter = Annotated[str, StringConstraints(pattern="^[MEKABCD]$")]
@@ -282,9 +292,10 @@ class PortEntry(NodeSelection):
             )
         if self.row is not None and self.kind != "output":
             problem = f"a port of kind {self.kind} takes the key `column`, not `row`"
-            raise make_invalid_value_error(
-                problem, "column", hint=f"write  column = {self.row}  instead of row"
-            )
+            hint = f"write  column = {self.row}  instead of row"
+            if self.column is not None:
+                hint = "delete the key `row`"
+            raise make_invalid_value_error(problem, "column", hint=hint)
         if self.column is not None and self.kind == "output":
             hint = f"write  row = {self.column}  instead of column"
             raise make_invalid_value_error(

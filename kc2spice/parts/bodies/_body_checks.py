@@ -37,7 +37,7 @@ from kc2spice.scene.scene_classes import BuiltScene, Part, Scene
 from kc2spice.synthesis.mode_cards import COARSE_WEIGHTS
 
 DEPOLING_ADVICE = "the ceramic depolarises or breaks down; lower the drive, or state another limit"
-OUTSIDE_BAND_ADVICE = "the reduced model has no error estimate above its band: widen rom.band"
+OUTSIDE_BAND_ADVICE = "the reduced model has no error estimate above its band: set {band}"
 # Recommended factor on the number of states of a model with too large an error.
 STATE_FACTOR = 2
 # Relative error estimates of a reduced model above which a run fails or prints a warning.
@@ -73,10 +73,14 @@ UNSTABLE_FULL_ADVICE = (
     "the full model has unstable modes, and the reduced model does not contain them"
 )
 STEEP_EDGE_ADVICE = (
-    "the current during a voltage edge is inaccurate: widen rom.band, or set the actual rise time "
-    "of the drive"
+    "the current during a voltage edge is inaccurate: set {band}, which adds states to the model, "
+    "or set the actual rise time of the drive"
 )
-CONTACT_ADVICE = "a contact excites modes of the body that the reduced model lacks: widen rom.band"
+CONTACT_ADVICE = (
+    "a contact excites modes of the body that the reduced model lacks: set {band}, which adds "
+    "states to the model"
+)
+BAND_MARGIN = 1.1  # ratio of the upper end of a proposed band to the required frequency
 # Smallest ratio of the upper end of the band to the lowest resonance frequency.
 # A band that ended below 1.5 times the lowest resonance caused an error of 2 % in a kick scene.
 MIN_BAND_RATIO = 1.5
@@ -131,7 +135,10 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
             # the factor 1 + 1e-9 allows for the rounding error of the highest frequency
             limit = (1 + 1e-9) * result.band_hz[1]
             name, label = f"band of {part.name}", f"highest analysis frequency, {part.name}"
-            yield Check(name, highest, limit, "Hz", OUTSIDE_BAND_ADVICE, "warn", label=label)
+            advice = OUTSIDE_BAND_ADVICE.format(
+                band=_propose_band(part, build.scene, result, highest)
+            )
+            yield Check(name, highest, limit, "Hz", advice, "warn", label=label)
         yield from self._check_rating(part, build, waves)
         yield from self._check_damping_frequency(part, model, waves)
         if "time" not in waves:
@@ -359,7 +366,9 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
                     MIN_BAND_RATIO * lowest,
                     high,
                     "Hz",
-                    CONTACT_ADVICE,
+                    CONTACT_ADVICE.format(
+                        band=_propose_band(part, scene, certificate, MIN_BAND_RATIO * lowest)
+                    ),
                     "warn",
                     label=f"band required by the contact, {part.name}",
                 )
@@ -377,7 +386,8 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
             name = f"band of {part.name}, drive of {port.name}"
             content = float(slope / (np.pi * np.ptp(voltage)))
             label = f"frequency content, {part.name}.{port.name}"
-            yield Check(name, content, high, "Hz", STEEP_EDGE_ADVICE, "warn", label=label)
+            advice = STEEP_EDGE_ADVICE.format(band=_propose_band(part, scene, certificate, content))
+            yield Check(name, content, high, "Hz", advice, "warn", label=label)
 
     def list_port_loads(
         self, part: Part[LinearKeysT], build: BuiltScene, waves: Waveforms
@@ -462,6 +472,17 @@ def _locate_reduction_table(part: Part[LinearKeysT], scene: Scene) -> str:
     """Return the key of the table with the reduction settings: of the scene or of the body."""
     shared = part.keys.rom is None and "rom" in scene.frame.model_fields_set
     return "rom" if shared else f"{part.name}.rom"
+
+
+def _propose_band(
+    part: Part[LinearKeysT], scene: Scene, certificate: Certificate, frequency: float
+) -> str:
+    """Return the setting of a band that contains a frequency [Hz] with a margin."""
+    unit = 10.0 ** (math.floor(math.log10(frequency)) - 1)  # two significant digits
+    high = math.ceil(BAND_MARGIN * frequency / unit) * unit
+    ends = (format_quantity(end, "Hz", 3) for end in (certificate.band_hz[0], high))
+    quoted = ", ".join(map('"{}"'.format, ends))
+    return f"{_locate_reduction_table(part, scene)}.band = [{quoted}]"
 
 
 def _make_reduction_check(name: str, error: float, unit: str, advice: str) -> Check:

@@ -17,6 +17,7 @@ from pydantic import BaseModel
 
 from kc2spice.core.cache import load_or_build
 from kc2spice.core.errors import UsageError, wrong
+from kc2spice.core.key_actions import DeleteKey, SetKey
 from kc2spice.core.progress import StageTimer
 from kc2spice.core.si_prefix_format import format_quantity
 from kc2spice.core.user_warnings import warn_user
@@ -24,6 +25,7 @@ from kc2spice.fem.body_keys import DampingKeys
 from kc2spice.fem.materials import MaterialTable
 from kc2spice.parts.bodies._body_ports import BodyPorts, requires_massless_ports
 from kc2spice.parts.bodies._linear_body_keys import LinearKeysT
+from kc2spice.parts.bodies._material_losses import find_largest_tangent
 from kc2spice.parts.bodies._varied_keys import (
     RANGES_KEY,
     check_parameter_ranges,
@@ -77,6 +79,8 @@ class BodyModel(BodyPorts[LinearKeysT]):
     ranges_from_zero = False  # whether parameter ranges of the part may begin at zero
     # Class that validates the material tables in the keys of the part.
     material_table: type[BaseModel] = MaterialTable
+    # Built-in material that supplies the missing values of a material table; none by default.
+    base_material = ""
 
     @abstractmethod
     def make_full_model(
@@ -185,7 +189,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
                 "a netlist with parameters cannot contain a dielectric loss",
                 got=read_loss_tangent(part),
                 expected="0",
-                hint="delete the key `loss_tangent`",
+                hint=DeleteKey("loss_tangent"),
             )
         if has_complex_constants(part):
             raise wrong(
@@ -194,6 +198,16 @@ class BodyModel(BodyPorts[LinearKeysT]):
                 got="ieee176",
                 expected='"rayleigh", the loss model of viscous damping',
                 hint='write  model = "rayleigh"',
+            )
+        if getattr(getattr(part.keys, "damping", None), "per_material", False):
+            raise wrong(
+                f"{part.name}.damping.per_material",
+                "a netlist with parameters needs the same damping for all materials",
+                got="true",
+                expected="`ratio`, `quality` or `loss_factor`",
+                hint=SetKey(
+                    part.name, "damping", "{ quality = 50 }", end=", with the Q factor of the body"
+                ),
             )
         if self.gives_off_heat(part, scene):
             raise wrong(
@@ -263,7 +277,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
 
     def _has_constant_loss_factors(self, part: Part[LinearKeysT]) -> bool:
         """Return whether the body has loss factors that are constant over frequency."""
-        return bool(read_loss_tangent(part)) or has_complex_constants(part)
+        return find_largest_loss_tangent(part) > 0 or has_complex_constants(part)
 
     def _make_mid_range_full_model(
         self, part: Part[LinearKeysT], scene: Scene, clock: StageTimer
@@ -291,7 +305,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
         # ``build`` uses these variables, so the cache key contains their values, and hashes of the
         # modules with the code of ``build``.
         target, model_key = get_reduction_settings(part, scene), self.model_key(part, scene)
-        tangent, constants = read_loss_tangent(part), has_complex_constants(part)
+        constants = has_complex_constants(part)
 
         def build() -> LinearModel:
             """Build the reduced model of the part with its losses."""
@@ -312,33 +326,29 @@ class BodyModel(BodyPorts[LinearKeysT]):
                 aims |= {"band": band, "norm": norm}
                 small = self.reduce_body(part, orders, selected, aims)
             modal = compute_resonators(small)  # eigenvalues are computed only once
-            if modal is None and tangent and not constants:
+            tangents = find_loss_tangents(part, small)
+            if modal is None and any(tangents) and not constants:
                 small = support_softly(small, band)
                 modal = compute_resonators(small)
-            if modal is None and (tangent or constants):
+            if modal is None and constants:
                 raise wrong(
-                    f"{part.name}.damping.{'model' if constants else 'loss_tangent'}",
-                    (
-                        f"{'complex material constants' if constants else 'a loss tangent'} "
-                        "cannot be combined with damping that couples modes, or with a rigid-body "
-                        "mode"
-                    ),
+                    f"{part.name}.damping.model",
+                    'the complex material constants of model = "ieee176" cannot be combined with '
+                    "damping that couples modes, or with a rigid-body mode",
+                    got='model = "ieee176", with coupled modes or a rigid-body mode',
                     expected=(
                         "damping by `ratio`, `quality` or `loss_factor`, and no rigid-body mode"
                     ),
                     hint="support the body, or let `rom.band` begin above 0 Hz",
                 )
-            if modal is None:
-                return small
-            if model_key["massless"]:
+            if modal is not None and model_key["massless"]:
                 modal = make_highest_modes_massless(modal, target.tolerance)
             labels: dict[str, Any] = {"name": small.name, "facts": small.facts, "band": small.band}
-            if constants:
+            if modal is not None and constants:
                 losses = make_complex_constants(part, selected)
                 return replace(make_complex_constants_model(modal, losses), **labels)
-            if tangent:
-                modal = add_dielectric_loss(modal, tangent)
-            return replace(modal.to_linear_model(), **labels)
+            result = small if modal is None else replace(modal.to_linear_model(), **labels)
+            return add_dielectric_loss(result, tangents) if any(tangents) else result
 
         kinds = (LinearModel, Certificate, Port)
         return load_or_build("body", model_key, build, classes=kinds, sources=self.source_modules())
@@ -412,6 +422,31 @@ def read_loss_tangent(part: Part) -> float:
     return float(getattr(getattr(part.keys, "damping", None), "loss_tangent", None) or 0.0)
 
 
+def find_largest_loss_tangent(part: Part) -> float:
+    """Return the loss tangent of a body, or the largest loss tangent of its materials.
+
+    The result is 0 if the model has no dielectric loss.
+    """
+    if not getattr(getattr(part.keys, "damping", None), "uses_material_tangents", False):
+        return read_loss_tangent(part)
+    assert isinstance(part.type, BodyModel)
+    return find_largest_tangent(part.keys, part.type.base_material)
+
+
+def find_loss_tangents(part: Part, model: LinearModel) -> list[float]:
+    """Return the loss tangent of each electrode of a model.
+
+    A loss tangent in the key ``damping`` applies to all electrodes. Otherwise, the loss tangents
+    follow from the materials (:func:`kc2spice.bodies.solid_models.make_damped_model`).
+    """
+    ports = [port.name for port in model.ports if port.electrical]
+    if tangent := read_loss_tangent(part):
+        return [tangent] * max(len(ports), 1)
+    from kc2spice.bodies.solid_models import get_loss_tangent_key
+
+    return [model.facts.get(get_loss_tangent_key(port), 0.0) for port in ports]
+
+
 def has_complex_constants(part: Part) -> bool:
     """Return whether complex material constants (IEEE 176) represent the losses."""
     return getattr(getattr(part.keys, "damping", None), "model", None) == "ieee176"
@@ -469,17 +504,18 @@ def find_full_model(part: Part, scene: Scene, clock: StageTimer) -> LinearModel 
 
 def full_model_without_scene(part: Part, scene: GovernedScene, clock: StageTimer) -> LinearModel:
     """Return the full model of a body without its scene; warn about neglected losses."""
-    if tangent := read_loss_tangent(part):
+    if tangent := find_largest_loss_tangent(part):
+        key = "per_material" if find_damping(part).uses_material_tangents else "loss_tangent"
         warn_user(
-            f"{part.name}.damping.loss_tangent: this model neglects the loss tangent {tangent:g}, "
-            f"because matrices cannot contain a constant dielectric loss; to include this loss, "
-            f"run or export the scene"
+            f"{part.name}.damping.{key}: this model neglects the loss tangent {tangent:g}, "
+            f"because matrices cannot represent a loss tangent that is independent of frequency; "
+            f"to include the dielectric loss, run or export the scene"
         )
     if has_complex_constants(part):
         warn_user(
             f"{part.name}.damping.model = ieee176: the matrices of {part.name} contain viscous "
-            f"damping, because matrices cannot contain a constant loss factor; to include the "
-            f"constant loss factor, run or export the scene"
+            f"damping, because matrices cannot represent a loss factor that is independent of "
+            f"frequency; to include this loss factor, run or export the scene"
         )
     kind = part.type
     assert isinstance(kind, BodyModel)

@@ -38,6 +38,8 @@ class BodyNetlist(BodyModel[LinearKeysT]):
     """Base class of bodies that adds their netlist, result vectors and equations."""
 
     noise = ("Rnoise",)
+    # temperature of the material data, for the header of the library
+    data_temperature = "20 to 25 C for built-in materials"
 
     def weights(self, part: Part[LinearKeysT], scene: DeclaredScene) -> StepWeights:
         """Return the weights of the body's modes in the simulator's time step control.
@@ -73,7 +75,7 @@ class BodyNetlist(BodyModel[LinearKeysT]):
         if not volts and select_paired_ports(build.model(part, LinearModel).ports):
             rating += "; with the key rated_voltage, a run warns about higher voltages"
         words: dict[str, Any] = {"title": self.headline(part), "rating": rating}
-        words["weights"] = self.weights(part, build.scene)
+        words |= {"weights": self.weights(part, build.scene), "temperature": self.data_temperature}
         if keys := list_varied_keys(part):
             from kc2spice.synthesis.parametric_resonators import parametric_subcircuit
 

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from itertools import chain, filterfalse, product
+from typing import ClassVar
 
 import numpy as np
 
 from kc2spice.core.domains import (
+    ACCELERATION,
     AMBIENT,
     BASE,
     HEAT,
@@ -69,6 +71,8 @@ class BodyPorts(TouchablePart[LinearKeysT]):
 
     #: Origin of the model, printed in the header of its library and by ``explain``.
     source = "FE, linear"
+    # advice to users in whose scenes the ambient temperature of a heat-conducting body varies
+    varying_ambient_advice: ClassVar[str] = ""
 
     @abstractmethod
     def ports(self, part: Part[LinearKeysT], scene: DeclaredScene) -> tuple[Port, ...]:
@@ -210,6 +214,26 @@ class BodyPorts(TouchablePart[LinearKeysT]):
         """Return the pins with mass: the displacement pins of the used mechanical ports."""
         ports = select_mechanical_ports(self.used_ports(part, scene))
         return tuple(port.terminals[0] for port in ports)
+
+    def constant_pins(self, part: Part[LinearKeysT], scene: WiredScene) -> Mapping[str, str]:
+        """Return the reference pin if displacements or temperatures are relative to it.
+
+        A moving support is modelled by an acceleration port, if the body has one.
+        """
+        pin = self.reference_terminal(part, scene)
+        if pin.domain is THERMAL:
+            return {pin.name: self.varying_ambient_advice}
+        if pin.domain is not TRANSLATION:
+            return {}
+        shaken = [p for p in self.ports(part, scene) if p.domain is ACCELERATION]
+        action = (
+            "for a moving support, use a supported disc, a bimorph, or a body with a port of kind "
+            "base"
+        )
+        if shaken:
+            end = f"{part.name}.{shaken[0].terminals[0]}"
+            action = f'for a moving support, connect a source of kind "acceleration" to {end}'
+        return {pin.name: action}
 
     def contact_surface(
         self, part: Part[LinearKeysT], scene: GovernedScene, ports: tuple[str, ...] = ()

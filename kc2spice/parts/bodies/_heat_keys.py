@@ -9,6 +9,7 @@ from typing import Annotated, Any
 from pydantic import Field, model_validator
 
 from kc2spice.core.domains import THERMAL
+from kc2spice.core.key_actions import DeleteKey
 from kc2spice.core.quantities import Length, Section, make_invalid_value_error, si
 from kc2spice.parts.bodies._mesh_keys import (
     MeshKeys,
@@ -132,9 +133,7 @@ class HeatSourceKeys(Section):
             raise make_invalid_value_error(
                 "this entry needs either the key `group` or the key `at`",
                 None,
-                hint='add for example  group = "top"'
-                if self.group is None
-                else "delete the key `at`",
+                hint='add for example  group = "top"' if self.group is None else DeleteKey("at"),
             )
         return self
 
@@ -203,7 +202,7 @@ class HeatBodyKeys(MeshKeys):
             raise make_invalid_value_error(
                 "a heat_body needs either the key `mesh` or the key `layers`",
                 None,
-                hint="delete the key `mesh`" if self.mesh else 'add for example  mesh = "case.msh"',
+                hint=DeleteKey("mesh") if self.mesh else 'add for example  mesh = "case.msh"',
             )
         if self.layers and (self.materials or self.interfaces or self.axisymmetric or self.groups):
             raise make_invalid_value_error(

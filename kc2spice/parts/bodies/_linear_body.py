@@ -29,9 +29,9 @@ from kc2spice.parts.bodies._body_checks import STATE_FACTOR, BodyChecks
 from kc2spice.parts.bodies._body_model import (
     BAND_MODES,
     describe_reduction_target,
+    find_largest_loss_tangent,
     get_reduction_settings,
     has_complex_constants,
-    read_loss_tangent,
 )
 from kc2spice.parts.bodies._body_ports import select_paired_ports
 from kc2spice.parts.bodies._linear_body_keys import LinearKeysT
@@ -70,7 +70,9 @@ class LinearBody(BodyChecks[LinearKeysT]):
 
         frequency, z = response
         first = build.get_model_values(part).get("resonance_short_hz")
-        result = compute_impedance_metrics(part.name, frequency, z, first)
+        plus, _ = select_paired_ports(build.model(part, LinearModel).ports)[0].terminals
+        scope = find_impedance_scope(part, plus, build.scene)
+        result = compute_impedance_metrics(part.name, frequency, z, first, scope)
         keys = list_varied_keys(part)
         if not keys or "bvd" not in result:
             return result
@@ -198,7 +200,7 @@ class LinearBody(BodyChecks[LinearKeysT]):
             yield NeglectedEffect(
                 what, "one Q factor for all compliances; d is real, as in IEEE 176", "not estimated"
             )
-        elif tangent := read_loss_tangent(part):
+        elif tangent := find_largest_loss_tangent(part):
             what = f"{part.name}: effect of dielectric loss on its stiffness"
             why = "dielectric loss acts only on the clamped capacitance"
             yield NeglectedEffect(
@@ -289,8 +291,21 @@ def _read_count(part: Part, key: str) -> int:
     return int(value)
 
 
+def find_impedance_scope(part: Part, pin: str, scene: Scene) -> str:
+    """Return the scope of an impedance: a part alone, or "" if a source is at its pin.
+
+    Other parts between the source and the ``pin`` change the resonances of the circuit. The
+    impedance of the part does not contain these other parts.
+    """
+    return "" if "source" in scene.list_joined_types(part.name, pin) else part.name
+
+
 def compute_impedance_metrics(
-    name: str, frequency: np.ndarray, impedance: np.ndarray, first: float | None = None
+    name: str,
+    frequency: np.ndarray,
+    impedance: np.ndarray,
+    first: float | None = None,
+    scope: str = "",
 ) -> dict[str, Any]:
     """Return the metrics of an impedance [Ohm], such as its resonance frequency.
 
@@ -298,16 +313,17 @@ def compute_impedance_metrics(
     frequency. Without a resonance in the frequency range, the impedance versus frequency is the
     only metric, and a warning states the reason. ``frequency`` [Hz] and ``impedance`` [Ohm] are
     arrays of shape (frequencies,). ``name`` is the name of the part, and ``first`` [Hz] is its
-    lowest resonance if known.
+    lowest resonance if known. ``scope`` is the name of the part if other parts between the part and
+    its source change the resonances of the circuit.
     """
     from kc2spice.bodies.impedance import MIN_SAMPLES, analyse_impedance
 
     curve: dict[str, Any] = {
-        "frequency_hz": Metric(frequency.tolist(), "Hz"),
-        "impedance_ohm": Metric(np.abs(impedance).tolist(), "Ohm"),
+        "frequency_hz": Metric(frequency.tolist(), "Hz", curve=True),
+        "impedance_ohm": Metric(np.abs(impedance).tolist(), "Ohm", curve=True),
     }
     try:
-        return curve | _convert_to_metrics(asdict(analyse_impedance(frequency, impedance)))
+        return curve | _convert_to_metrics(asdict(analyse_impedance(frequency, impedance)), scope)
     except UsageError as error:  # the frequency range contains no resonance
         reason = error.message
         if frequency.size < MIN_SAMPLES:
@@ -339,15 +355,17 @@ def warn_of_zero_voltage(part: Part, scene: Scene, waves: Waveforms) -> None:
         )
 
 
-def _convert_to_metrics(figures: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the values of an impedance analysis as metrics with units."""
+def _convert_to_metrics(figures: Mapping[str, Any], scope: str) -> dict[str, Any]:
+    """Return the values of an impedance analysis as metrics with units and a scope."""
     from kc2spice.bodies.impedance import METRIC_UNITS
 
     result: dict[str, Any] = {}
     for name, value in figures.items():
         nested = isinstance(value, Mapping)
         result[name] = (
-            _convert_to_metrics(value) if nested else Metric(value, METRIC_UNITS.get(name, ""))
+            _convert_to_metrics(value, scope)
+            if nested
+            else Metric(value, METRIC_UNITS.get(name, ""), scope=scope)
         )
     return result
 

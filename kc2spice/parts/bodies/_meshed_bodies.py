@@ -14,6 +14,7 @@ import json
 import re
 from abc import abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from itertools import filterfalse
@@ -21,9 +22,10 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 
-from kc2spice.core.domains import ACCELERATION, TRANSLATION
+from kc2spice.core.domains import ACCELERATION, BASE, TRANSLATION
 from kc2spice.core.errors import UsageError, wrong
 from kc2spice.core.figure import Curve, Figure, FileWriter, Panel, Shape
+from kc2spice.core.key_actions import DeleteKey
 from kc2spice.core.mesh_error_descriptions import MESH_LIMIT_NAME, list_limited_errors
 from kc2spice.core.progress import StageTimer
 from kc2spice.core.quantities import USUAL_Q_FACTOR
@@ -32,7 +34,14 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.body_keys import DampingKeys
 from kc2spice.fem.materials import Material, advise_missing_ceramic_keys
 from kc2spice.parts.bodies._body_figures import draw_deformed_body, draw_modes
+from kc2spice.parts.bodies._body_model import find_damping
+from kc2spice.parts.bodies._body_ports import get_wave_name
 from kc2spice.parts.bodies._linear_body_keys import FieldKeys, FieldKeysT
+from kc2spice.parts.bodies._material_losses import (
+    describe_unused_loss_tangents,
+    find_unused_losses,
+    list_neglected_losses,
+)
 from kc2spice.parts.bodies._neglected_effects import (
     Envelope,
     estimate_neglected_effects,
@@ -45,7 +54,14 @@ from kc2spice.rom.linear_model import LinearModel, Port
 from kc2spice.scene.checks import Check, Metric, RunEnergyBalance
 from kc2spice.scene.part_records import NeglectedEffect
 from kc2spice.scene.plausibility import UnusualValueError, check_layers
-from kc2spice.scene.scene_classes import BuiltScene, DeclaredScene, GovernedScene, Part, Scene
+from kc2spice.scene.scene_classes import (
+    GROUND,
+    BuiltScene,
+    DeclaredScene,
+    GovernedScene,
+    Part,
+    Scene,
+)
 
 if TYPE_CHECKING:
     from kc2spice.bodies.fields import Extreme, NodalMotion
@@ -142,6 +158,9 @@ class MeshedBody(SoundingBody[FieldKeysT]):
     ) -> Iterator[NeglectedEffect]:
         """Yield the effects of air, glue, electrodes and support that the model neglects."""
         yield from super().list_neglected_effects(part, scene)
+        yield from list_neglected_losses(
+            part.name, part.keys, find_damping(part), self.base_material
+        )
         yield from estimate_neglected_effects(
             part.name,
             self.envelope(part, scene),
@@ -175,6 +194,15 @@ class MeshedBody(SoundingBody[FieldKeysT]):
         """Yield an error for each invalid key of the part."""
         yield from super().problems(part, scene)
         yield from find_field_problems(part, scene, harmonic=True)
+        with suppress(UsageError):  # another check reports an invalid material
+            yield from find_unused_losses(
+                part.name, part.keys, find_damping(part), self.base_material
+            )
+
+    def notes(self, part: Part[FieldKeysT], scene: Scene) -> Iterator[str | NeglectedEffect]:
+        """Yield the assumptions of the model and the effects that it neglects."""
+        yield from super().notes(part, scene)
+        yield from describe_unused_loss_tangents(part.keys, find_damping(part), self.base_material)
 
     def metrics(
         self, part: Part[FieldKeysT], build: BuiltScene, waves: Waveforms
@@ -317,7 +345,7 @@ def find_field_problems(
             "this value of the key `fields` needs a transient analysis",
             got=f"analysis {kind}",
             expected=expected,
-            hint="delete the key `fields`",
+            hint=DeleteKey("fields"),
         )
         return
     outside = [t for t in instants if not 0 <= t <= scene.stop_time]
@@ -404,6 +432,8 @@ class BondedBody(MeshedBody[FieldKeysT]):
         "back_face": "pins.back_face",
         **OPTIONAL_HEAT_PINS,
     }
+    # whether models omit the port ``base`` of a moving support in scenes that do not join ``base``
+    base_is_optional: ClassVar[bool] = False
     structure: Callable[[Any, str], BondedBlocks]
 
     def is_clamped(self, part: Part[FieldKeysT]) -> bool:
@@ -414,27 +444,36 @@ class BondedBody(MeshedBody[FieldKeysT]):
         """Make the bonded blocks of the body, with electrodes, supports and ports."""
         return _build_bonded_blocks(self, part.keys.model_dump_json(exclude={"rom"}), part.name)
 
-    def select_used_faces(self, part: Part[FieldKeysT], scene: DeclaredScene) -> BondedBlocks:
-        """Select faces that the scene uses; return a body's blocks with only these faces."""
+    def select_used_ports(self, part: Part[FieldKeysT], scene: DeclaredScene) -> BondedBlocks:
+        """Return the bonded blocks of a body without its unused optional ports.
+
+        The optional ports are faces and, for some bodies, the port ``base``. A support that the
+        scene connects to ground is at rest, and needs no port.
+        """
         bonded, named = self.make_bonded_blocks(part), {}
         for name, face in bonded.faces.items():
             if name in part.pins or scene.is_target(part.name, name):
                 named[name] = face
-        return replace(bonded, faces=named)
+        shaken = scene.ports == "all" or not self.base_is_optional or _joins_base(part, scene)
+        return replace(bonded, faces=named, moved=bonded.moved and shaken)
 
     def make_full_model_key(
         self, part: Part[FieldKeysT], scene: GovernedScene
     ) -> Mapping[str, Any]:
-        """Return the cache key of the full model, including the used acoustic ports."""
-        key, faces = (
-            super().make_full_model_key(part, scene),
-            [*self.select_used_faces(part, scene).faces],
+        """Return the cache key of the full model, including the used optional ports."""
+        key, used = (
+            dict(super().make_full_model_key(part, scene)),
+            self.select_used_ports(part, scene),
         )
-        return {**key, "faces": faces} if faces else key
+        if used.faces:
+            key["faces"] = [*used.faces]
+        if used.moved and self.base_is_optional:
+            key["moved"] = True
+        return key
 
     def ports(self, part: Part[FieldKeysT], scene: DeclaredScene) -> tuple[Port, ...]:
         """Return the ports of the part's model."""
-        return self.select_used_faces(part, scene).all_ports
+        return self.select_used_ports(part, scene).all_ports
 
     def pin_directions(
         self, part: Part[FieldKeysT], scene: DeclaredScene
@@ -446,9 +485,26 @@ class BondedBody(MeshedBody[FieldKeysT]):
                 result[port.terminals[0]] = (0.0, 0.0, 1.0)
         return result
 
+    def find_largest_deflection(
+        self, part: Part[FieldKeysT], build: BuiltScene, waves: Waveforms
+    ) -> float | None:
+        """Return the largest recorded displacement [m] of a port; None without a recorded port.
+
+        The displacement of a radiating face or of a patch is the mean over its area.
+        """
+        if build.scene.analysis.type == "noise":
+            return None
+        recorded = list(self._face_displacements(part, build, waves).values())
+        ports = self.used_ports(part, build.scene)
+        for port in ports:
+            name = get_wave_name(part.name, ports, port)
+            if port.domain is TRANSLATION and name in waves:
+                recorded.append(waves[name])
+        return max((float(np.abs(wave).max()) for wave in recorded), default=None)
+
     def make_fe_model(self, part: Part[FieldKeysT], scene: GovernedScene) -> FiniteElementModel:
         """Build the finite-element model of the bonded blocks."""
-        return self.select_used_faces(part, scene).build_fe_model()
+        return self.select_used_ports(part, scene).build_fe_model()
 
     def make_full_model_on_mesh(
         self,
@@ -458,7 +514,7 @@ class BondedBody(MeshedBody[FieldKeysT]):
         like: Part[FieldKeysT],
     ) -> LinearModel:
         """Return the full model of a changed part on the original mesh with moved nodes."""
-        body = replace(self.select_used_faces(part, scene), like=self.make_bonded_blocks(like))
+        body = replace(self.select_used_ports(part, scene), like=self.make_bonded_blocks(like))
         return body.build_fe_model().model
 
     def material_voltage_rating(self, part: Part[FieldKeysT]) -> float | None:
@@ -489,6 +545,14 @@ class BondedBody(MeshedBody[FieldKeysT]):
         layer.
         """
         yield from super().problems(part, scene)
+        if getattr(part.keys, "support", "") == "free" and _joins_base(part, scene):
+            yield part.wrong(
+                "support",
+                f"{part.name} is free, so it has no support that its pin {BASE} could move",
+                got=f'support = "free", with a connection of {part.name}.{BASE}',
+                expected=f'a support other than "free", or no connection of {part.name}.{BASE}',
+                hint=f"delete the connection of {part.name}.{BASE}, or add a support",
+            )
         layers, width = getattr(part.keys, "layers", ()), getattr(part.keys, "width", None)
         bonded = self.make_bonded_blocks(part)
         result = [
@@ -523,6 +587,11 @@ class BondedBody(MeshedBody[FieldKeysT]):
                 legend = "" if label in known else label
                 yield Shape(x, (low + high) / 2 - top, wide, high - low, kind, legend)
                 known.add(label)
+
+
+def _joins_base(part: Part, scene: DeclaredScene) -> bool:
+    """Return whether the scene connects the pin ``base`` of a body to another pin."""
+    return part.pins.get(BASE, GROUND) != GROUND or scene.is_target(part.name, BASE)
 
 
 @lru_cache(maxsize=32)

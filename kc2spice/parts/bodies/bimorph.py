@@ -27,7 +27,6 @@ import numpy as np
 from pydantic import Field, StringConstraints, model_validator
 
 from kc2spice.bodies.solid_models import Block, BondedBlocks, Box, list_outer_faces
-from kc2spice.core.domains import TRANSLATION
 from kc2spice.core.errors import UsageError, wrong
 from kc2spice.core.key_errors import validate_table
 from kc2spice.core.quantities import (
@@ -44,7 +43,6 @@ from kc2spice.core.quantities import (
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.body_keys import BodyMeshKeys, DampingKeys
 from kc2spice.fem.materials import advise_missing_ceramic_keys, find_material
-from kc2spice.parts.bodies._body_ports import get_wave_name
 from kc2spice.parts.bodies._linear_body_keys import FieldKeys
 from kc2spice.parts.bodies._meshed_bodies import (
     BondedBody,
@@ -388,16 +386,9 @@ class Bimorph(BondedBody[BimorphKeys]):
         stretching.
         """
         keys, ports = part.keys, self.used_ports(part, build.scene)
-        if keys.support == "free" or build.scene.analysis.type == "noise":
+        largest = self.find_largest_deflection(part, build, waves)
+        if keys.support == "free" or largest is None:
             return
-        deflections = list(self._face_displacements(part, build, waves).values())
-        for port in ports:
-            name = get_wave_name(part.name, ports, port)
-            if port.domain is TRANSLATION and name in waves:
-                deflections.append(waves[name])
-        if not deflections:
-            return
-        largest = max(float(np.abs(wave).max()) for wave in deflections)
         if keys.support in ("clamped", "quarter"):
             joined = chain.from_iterable(
                 build.scene.list_joined_pins(part.name, port.terminals[0]) for port in ports

@@ -40,6 +40,7 @@ from kc2spice.core.cache import load_or_build
 from kc2spice.core.domains import ACCELERATION, ACOUSTIC, ELECTRICAL, ROTATION, TRANSLATION
 from kc2spice.core.errors import UsageError, name_part_in_errors, wrong
 from kc2spice.core.figure import Curve, Figure, FileWriter, Panel
+from kc2spice.core.key_actions import DeleteKey
 from kc2spice.core.key_errors import validate_table
 from kc2spice.core.naming import list_names
 from kc2spice.core.quantities import Section, make_invalid_value_error
@@ -323,7 +324,7 @@ class AxesKeys(Section):
                 raise make_invalid_value_error(
                     "cylindrical axes cannot have the key `x`, because their first axis is radial",
                     None,
-                    hint="delete the key `x`",
+                    hint=DeleteKey("x"),
                 )
             return self
         if self.origin is not None:

@@ -15,7 +15,8 @@ layer.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import math
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from itertools import accumulate, chain, pairwise
@@ -26,6 +27,7 @@ from pydantic import Field, model_validator
 from kc2spice.bodies.solid_models import Block, BondedBlocks, Box, list_outer_faces
 from kc2spice.bodies.undamped_models import FiniteElementModel
 from kc2spice.core.errors import UsageError, wrong
+from kc2spice.core.key_actions import ChangeKey
 from kc2spice.core.key_errors import validate_table
 from kc2spice.core.quantities import (
     Length,
@@ -36,14 +38,24 @@ from kc2spice.core.quantities import (
     make_invalid_value_error,
 )
 from kc2spice.core.si_prefix_format import format_quantity
+from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.body_keys import BodyMeshKeys, DampingKeys
 from kc2spice.fem.materials import advise_missing_ceramic_keys, find_material
 from kc2spice.parts.bodies._linear_body_keys import FieldKeys
 from kc2spice.parts.bodies._meshed_bodies import BondedBody, make_missing_ceramic_error
+from kc2spice.scene.checks import Check, RunEnergyBalance
 from kc2spice.scene.parttype import register_part_type
 from kc2spice.scene.plausibility import MAX_OVERHANG
-from kc2spice.scene.scene_classes import GovernedScene, Part
+from kc2spice.scene.scene_classes import BuiltScene, GovernedScene, Part
 
+# Stretching raises the stiffness of a disc by the fraction A (w/h)^2 for the deflection w and the
+# thickness h. The factor A is 0.471 for a clamped rim, and 0.262 for a simply supported rim that
+# can move radially: S. P. Timoshenko and S. Woinowsky-Krieger, Theory of Plates and Shells (1959),
+# table 82.
+_CLAMPED_STRETCHING, _SUPPORTED_STRETCHING = 0.471, 0.262
+# A check warns if stretching raises the stiffness of a disc by more than the fraction
+# MAX_STRETCHING.
+MAX_STRETCHING = 0.02
 # Number of mesh cells along the largest radius or half the height, for ``mesh.refine = 1``.
 _RADIAL_CELLS = 20
 
@@ -122,7 +134,9 @@ class DiscLayer(Section):
                         "electrode must remain"
                     ),
                     None,
-                    hint=f"lower feedback.outer below {format_quantity(largest, 'm')}",
+                    hint=ChangeKey(
+                        "lower", "feedback.outer", "below", format_quantity(largest, "m")
+                    ),
                 )
         return self
 
@@ -137,6 +151,11 @@ class KnifeEdgeSupport(Section):
 
 class DiscKeys(FieldKeys):
     """Keys of a disc: its layers, support, wiring, damping and mesh.
+
+    The value of the pin ``centre`` is the mean upward displacement of a patch on top. If the pin
+    ``base`` of a supported disc is joined, its value is the upward acceleration of the support, and
+    all displacements are relative to the support. Without a join, the support is at rest, and
+    ``base`` is the reference pin of displacements.
 
     ``wiring`` only has an effect with at least two ceramic layers. With ``parallel``, the lowest
     electrode and every second electrode above it are connected to the cathode. With ``series``,
@@ -256,6 +275,7 @@ def make_disc_blocks(keys: DiscKeys | Mapping[str, Any], where: str = "disc") ->
         {"centre": _make_ring(0.0, patch / 2, top)},
         _make_supports(disc, pieces, across / 2),
         faces=list_outer_faces(((0.0, across / 2), (0.0, top))),
+        moved=disc.support != "free",
         size=max(top, across) / (2 * _RADIAL_CELLS),
         refine=disc.mesh.refine,
         damping=disc.damping,
@@ -376,6 +396,7 @@ class Disc(BondedBody[DiscKeys]):
     title = "circular layers with electrodes (axisymmetric piezoelectric FE, reduced)"
     schema = DiscKeys
     source = "FE (piezoelectric, axisymmetric)"
+    base_is_optional = True
     structure = staticmethod(make_disc_blocks)
     optional_pins: ClassVar[Mapping[str, str]] = {
         "feedback": "layers.feedback",
@@ -397,7 +418,7 @@ class Disc(BondedBody[DiscKeys]):
         changes: Iterable[float],
     ) -> dict[float, FiniteElementModel]:
         """Return full models on supporting rings, keyed by the diameter [m] of the ring."""
-        keys, faces = part.keys, self.select_used_faces(part, scene).faces
+        keys, used = part.keys, self.select_used_ports(part, scene)
         diameters = {"free": node, "simply_supported": keys.largest_diameter, "clamped": None}
         support = keys.support
         diameter = support.node if isinstance(support, KnifeEdgeSupport) else diameters[support]
@@ -410,8 +431,32 @@ class Disc(BondedBody[DiscKeys]):
                 body = make_disc_blocks(
                     keys.model_copy(update={"support": KnifeEdgeSupport(node=ring)}), part.name
                 )
-                devices[ring] = replace(body, faces=faces).build_fe_model()
+                body = replace(body, faces=used.faces, moved=used.moved)
+                devices[ring] = body.build_fe_model()
         return devices
+
+    def checks(
+        self, part: Part[DiscKeys], build: BuiltScene, waves: Waveforms
+    ) -> Iterator[Check | RunEnergyBalance]:
+        """Yield the checks of the body, and the check that its deflection is small.
+
+        A free disc has no check, because its displacements include rigid-body motions.
+        """
+        yield from super().checks(part, build, waves)
+        largest = self.find_largest_deflection(part, build, waves)
+        if part.keys.support == "free" or largest is None:
+            return
+        clamped = part.keys.support == "clamped"
+        factor = _CLAMPED_STRETCHING if clamped else _SUPPORTED_STRETCHING
+        share = largest / sum(layer.thickness for layer in part.keys.layers)
+        advice = (
+            f"stretching, which the linear model neglects, stiffens the disc by about "
+            f"{100 * factor * share**2:.2g} %; lower the drive"
+        )
+        name = f"largest deflection of {part.name}"
+        label = f"peak deflection of {part.name} / thickness"
+        limit = math.sqrt(MAX_STRETCHING / factor)
+        yield Check(name, share, limit, "of the thickness", advice, "warn", label=label)
 
     def is_clamped(self, part: Part[DiscKeys]) -> bool:
         """Return whether the rim is clamped, so that air cannot flow around the body.

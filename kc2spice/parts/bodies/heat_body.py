@@ -300,6 +300,10 @@ class HeatBody(LinearBody[HeatBodyKeys]):
     """Part type ``heat_body``: heat conduction in a solid, a reduced FE model."""
 
     name = "heat_body"
+    origin_of_pins = (
+        "The pins of a part are `ambient`, and the pins named in its keys `isothermal`, `sources` "
+        "and `films`."
+    )
     title = "heat in a solid (FE, reduced)"
     discretisations = ("refine",)
     schema = HeatBodyKeys
@@ -307,6 +311,10 @@ class HeatBody(LinearBody[HeatBodyKeys]):
     ports_of_files = True
     range_classes = (HeatOverRanges, MatrixTerms)
     ranges_from_zero = True
+    varying_ambient_advice = (
+        'for a varying temperature, add for example  pin = "air"  to the films, and connect the '
+        "pin air in place of ambient"
+    )
     material_table = ThermalMaterialTable
     example = """
 [heat_body]

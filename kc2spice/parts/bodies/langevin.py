@@ -27,6 +27,7 @@ from kc2spice.bodies.solid_models import (
     RadiatingFace,
 )
 from kc2spice.core.errors import wrong
+from kc2spice.core.key_actions import ChangeKey, Hint
 from kc2spice.core.key_errors import validate_table
 from kc2spice.core.quantities import (
     Count,
@@ -189,14 +190,13 @@ class LangevinKeys(FieldKeys):
             if applies:
                 key = problem.partition(":")[0]
                 action = "lower" if key in ("bolt.depth", "rings.inner") else "correct"
-                smaller = f"{action} {key}"
+                hint: Hint = f"{action} {key}"
                 if problem.startswith("bolt.diameter"):
-                    smaller = (
-                        f"lower bolt.diameter below {min(inner, *(m.diameter for m in masses)):g} m"
-                    )
+                    limit = min(inner, *(m.diameter for m in masses))
+                    hint = ChangeKey("lower", key, "below", f"{limit:g} m")
                 elif key == "bolt.head_diameter":
-                    smaller = f"raise bolt.head_diameter above {bolt.diameter:g} m"
-                raise make_invalid_value_error(problem, None, hint=smaller)
+                    hint = ChangeKey("raise", key, "above", f"{bolt.diameter:g} m")
+                raise make_invalid_value_error(problem, None, hint=hint)
         return self
 
 

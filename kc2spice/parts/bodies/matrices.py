@@ -21,7 +21,7 @@ from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.parts.bodies._linear_body_keys import LinearKeys
 from kc2spice.rom.linear_model import LinearModel, Port
 from kc2spice.scene.parttype import register_part_type
-from kc2spice.scene.scene_classes import DeclaredScene, GovernedScene, Part, Scene
+from kc2spice.scene.scene_classes import DeclaredScene, GovernedScene, Part, Scene, WiredScene
 from kc2spice.scene.settings import FileName
 
 LINE_HEIGHT = 0.02  # smallest height of a mesh in a drawing, divided by its width
@@ -49,10 +49,15 @@ class Matrices(LinearBody[MatricesKeys]):
     """Part type ``matrices``: linear model, reduced from another program's matrices."""
 
     name = "matrices"
+    origin_of_pins = (
+        "The pins of a part are the pins of the ports in its TOML file, which the key `sidecar` "
+        "names."
+    )
     title = "linear model from the matrices of another tool, reduced"
     schema = MatricesKeys
     source = "matrices of another tool"
     ports_of_files = True
+    data_temperature = ""
 
     def ports(self, part: Part[MatricesKeys], scene: DeclaredScene) -> tuple[Port, ...]:
         """Return the ports of the part's model."""
@@ -74,6 +79,12 @@ class Matrices(LinearBody[MatricesKeys]):
                 pin = entry.port.terminals[0]
                 result[pin] = tuple(entry.weights.get(axis, 0.0) for axis in TRANSLATIONS)
         return result
+
+    def constant_pins(self, part: Part[MatricesKeys], scene: WiredScene) -> Mapping[str, str]:
+        """Return the reference pin; none for a model whose mass matrix is zero."""
+        M = self._read_model(part, scene).M
+        massless = M is not None and not abs(M).max()
+        return {} if massless else super().constant_pins(part, scene)
 
     def make_full_model_key(self, part: Part[MatricesKeys], scene: GovernedScene) -> dict[str, Any]:
         """Return the cache key of the full model, with hashes of the matrix files."""

@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field, ValidationInfo, model_validator
 
-from kc2spice.bodies.stack_keys import PATCH_PORT, SECTORS, StackKeys
+from kc2spice.bodies.stack_keys import PAPER_CERAMIC, PATCH_PORT, SECTORS, StackKeys
 from kc2spice.core.cache import load_or_build
 from kc2spice.core.domains import ELECTRICAL, TRANSLATION
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Shape
+from kc2spice.core.key_actions import ChangeKey
 from kc2spice.core.quantities import Count, Section, Time, Voltage, make_invalid_value_error, si
 from kc2spice.core.user_warnings import warn_user
 from kc2spice.core.waveforms import Waveforms, integrate_cumulatively
@@ -27,6 +28,7 @@ from kc2spice.parts.bodies._body_model import (
 )
 from kc2spice.parts.bodies._body_ports import find_required_ports
 from kc2spice.parts.bodies._linear_body_keys import FieldKeys
+from kc2spice.parts.bodies._material_losses import describe_unused_loss_tangents
 from kc2spice.parts.bodies._meshed_bodies import MeshedBody, check_q_factor
 from kc2spice.parts.bodies._neglected_effects import Envelope, compute_disc_air_mass
 from kc2spice.parts.electronics.netlist import make_driver_table
@@ -213,8 +215,13 @@ class PiezoStack(MeshedBody[PiezoStackKeys]):
     """Part type ``piezo_stack``: multilayer piezoelectric chip, a reduced 3-D FE model."""
 
     name = "piezo_stack"
+    origin_of_pins = (
+        "The number of pins `ring…` follows from the key `mesh.rings` and from the parts that "
+        "touch the chip."
+    )
     title = "multilayer piezoelectric chip (3-D FE, reduced)"
     discretisations = ("mesh.refine",)
+    base_material = PAPER_CERAMIC
     schema = PiezoStackKeys
     source = "FE (piezoelectric, 3-D)"
 
@@ -277,7 +284,7 @@ class PiezoStack(MeshedBody[PiezoStackKeys]):
                 "the kick starts after the simulation ends",
                 got=f"{drive.start:g} s",
                 expected=f"before the end of the simulation, {scene.stop_time:g} s",
-                hint=f"lower drive.start below {scene.stop_time:g} s",
+                hint=ChangeKey("lower", "drive.start", "below", f"{scene.stop_time:g} s"),
             )
         if drive and keys.electrical != "driven":
             warn_user(
@@ -511,6 +518,7 @@ class PiezoStack(MeshedBody[PiezoStackKeys]):
         yield f"quarter chip, {keys.layers} layers, {describe_mounting(keys)}"
         yield f"reduced model with {describe_reduction_target(rom)}"
         yield f"ports: anode {keys.electrical}, {ports}"
+        yield from describe_unused_loss_tangents(keys, keys.damping, self.base_material)
         yield from self.list_neglected_effects(part, scene)
         if keys.mounting == "roller":
             why = "the bottom face slides without friction on a plane"
