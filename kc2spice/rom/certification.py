@@ -58,6 +58,8 @@ def certify(basis: ReducedBasis, order: int) -> LinearModel:
         proof.passive,
         estimate_errors_above_band(task.fom.ports, estimator.exact, response, task.band),
         task.norm,
+        basis.method,
+        estimator.find_largest_pointwise_error(response) if task.norm == "peak" else None,
     )
     labels = {key: getattr(task.fom, key) for key in ("ports", "facts", "name")}
     labels["basis"] = basis.expand_basis(order)

@@ -7,7 +7,7 @@ more accurate model. The search adds frequencies where the relative difference i
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -203,6 +203,24 @@ class ErrorEstimator:
         return np.asarray(
             (np.abs(difference) / base * self._significant_entry_mask).max(axis=(-2, -1))
         )
+
+    @cached_property
+    def _pointwise_estimator(self) -> ErrorEstimator:
+        """Estimator of errors in the norm *pointwise*, for the same model and band."""
+        return replace(self, norm="pointwise")
+
+    def find_largest_pointwise_error(self, reduced: Response) -> tuple[float, float]:
+        """Find the largest error relative to the response at the same frequency.
+
+        Return the frequency [Hz] and the error. The frequencies are those of an estimator in the
+        norm *pointwise*, which include the notches of the response.
+        """
+        estimator = self._pointwise_estimator
+        H = estimator.exact_response_and_scales[0]
+        s = 2j * np.pi * estimator.frequency
+        error = estimator.compute_largest_errors(reduced.transfer(s) - H, H)
+        worst = int(np.nan_to_num(error, nan=np.inf).argmax())
+        return float(estimator.frequency[worst]), float(error[worst])
 
     def estimate_model_error(self, reduced: Response, limit: float = np.inf) -> float:
         """Estimate the largest relative error of a reduced model over the band.

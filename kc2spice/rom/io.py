@@ -377,10 +377,16 @@ def parse_certificate(record: object) -> Certificate:
 
     certificate = TypeAdapter(Certificate).validate_python(record)
     require_single_line(certificate.method, 1000)
+    require_single_line(certificate.reduction_method, 1000)
     low, high = certificate.band_hz
     if not 0 <= low <= high < np.inf:
         raise ValueError(f"band {low} … {high} Hz")
-    if not np.isfinite([certificate.error_estimate, *chain(*certificate.above)]).all():
+    errors = [
+        certificate.error_estimate,
+        *(certificate.pointwise or ()),
+        *chain(*certificate.above),
+    ]
+    if not np.isfinite(errors).all():
         raise ValueError(
             "the error estimates in the model file contain a number that is not finite"
         )

@@ -139,7 +139,10 @@ class Certificate:
     band and the error at this frequency. An error above the band is the largest relative error of
     the compliance of a mechanical port, compared with a larger model. ``stable`` states whether
     both the full and the reduced model are stable; without a proof, the value is None. If
-    ``passive`` is true, both models are proven passive.
+    ``passive`` is true, both models are proven passive. ``reduction_method`` is the name of the
+    reduction method, or "" if no reduction method computed the model. In the norm *peak*,
+    ``pointwise`` contains a frequency [Hz] and an error: the largest error of an entry, relative to
+    the entry's magnitude at this frequency. In the norm *pointwise*, ``pointwise`` is None.
     """
 
     band_hz: tuple[float, float]
@@ -149,6 +152,8 @@ class Certificate:
     passive: bool
     above: tuple[tuple[float, float], ...] = ()
     norm: Norm = "pointwise"
+    reduction_method: str = ""
+    pointwise: tuple[float, float] | None = None
 
     @property
     def proofs(self) -> str:
@@ -162,7 +167,10 @@ class Certificate:
         The command ``reduce --json`` prints the same record.
         """
         result = asdict(self) | {"band_hz": list(self.band_hz)}
-        del result["above"]
+        del result["above"], result["pointwise"]
+        if self.pointwise:
+            frequency_hz, pointwise_error = self.pointwise
+            result |= {"pointwise_error": pointwise_error, "pointwise_error_hz": frequency_hz}
         if self.above:
             frequency, error = map(list, zip(*self.above, strict=True))
             result |= {"above_band_hz": frequency, "above_band_compliance_error": error}

@@ -76,12 +76,13 @@ def select_fewest_states(
 ) -> tuple[ReducedBasis, int]:
     """Find the basis and the order that meet the tolerance with the fewest states.
 
-    Congruences are preferred, because a congruence of definite matrices gives a model of passive
-    resonators. An oblique projection is used only if all ports are signals, and if the projection
-    needs fewer states than a congruence. An oblique projection replaces a congruence of definite
-    matrices only if the oblique projection needs at least about 9 % fewer states. If ``keep_form``
-    is true, only congruences are used. If ``shorten`` is true, the reductor that computed the
-    congruence then searches for a basis of fewer vectors.
+    Congruences are preferred. An oblique projection is used only if all ports are signals, and if
+    the projection needs fewer states than a congruence. An oblique projection replaces a congruence
+    of definite matrices only if the oblique projection needs at least about 9 % fewer states. For
+    passive symmetric models of first order, only congruences are used, because balanced truncation
+    is a congruence of such models. If ``keep_form`` is true, only congruences are used. If
+    ``shorten`` is true, the reductor that computed the congruence first searches for a basis of
+    fewer vectors.
 
     Raises
     ------
@@ -92,23 +93,27 @@ def select_fewest_states(
     signals = choose_default_norm(task.fom) == "peak" and not keep_form
     form = _prove_stability(task)
     share = SAVING_RATIO if form and form.proof == DEFINITE_EVIDENCE else 1.0
+    relaxing = form is not None and form.passive and task.response.pencil.degree == 1
     other = None
-    if signals and not (form and form.passive):
+    if signals and not relaxing:
         other = _select_fewest_states(task, others, tolerance, task.state_count + 1)
     if other and not form:  # without a proof of stability, a congruence has no advantage
-        return _replace_origin(other, f"{other[0].origin}; ")
+        return _describe_origin(other)
     most = int(other[1] / share) if other else np.inf
+    # a basis with more states than `most` may need fewer states after it is shortened
+    limit = np.inf if shorten else most + 1
     reductor, basis, order = _select_smallest_order(
-        task, congruences, tolerance, most + 1, bool(other)
+        task, congruences, tolerance, limit, bool(other)
     )
-    if order is None:
-        assert other is not None
-        text = f"{other[0].origin}; a congruence transformation needs more than {most} first-order "
-        text += "states; "
-        return _replace_origin(other, text)
-    if shorten:
+    if order is not None and shorten:
         basis, order = reductor.shorten_basis(basis, order, tolerance)
         order = find_least_order(basis, tolerance, basis.count_states(order)) or order
+    if other and (order is None or basis.count_states(order) > most):
+        need = f"more than {most}" if order is None else f"{basis.count_states(order)}"
+        return _describe_origin(
+            other, f"a congruence transformation needs {need} first-order states; "
+        )
+    assert order is not None
     states = basis.count_states(order)
     if other is None and (signals or basis.count_states(basis.size) <= MAX_COMPARED_STATES):
         other = _select_fewest_states(task, others, tolerance, int(np.ceil(share * states)))
@@ -147,7 +152,7 @@ def _select_fewest_states(
         order = find_least_order(basis, tolerance, states) if basis else None
         if basis is None or order is None:
             continue
-        best, states = (replace(basis, origin=reductor.name), order), basis.count_states(order)
+        best, states = (basis.copy_with_method(reductor.name), order), basis.count_states(order)
         if task.norm == "pointwise":
             break
     return best
@@ -167,7 +172,7 @@ def _select_smallest_order(
     basis and None. If ``optional`` is false, raise an error instead.
     """
     bases = [(item, item.basis(task)) for item in reductors if item.applies_to(task)]
-    rows = [(item, basis) for item, basis in bases if basis is not None]
+    rows = [(item, basis.copy_with_method(item.name)) for item, basis in bases if basis is not None]
     orders = [find_least_order(basis, tolerance, states) for _, basis in rows]
     acceptable = [(order, k) for k, order in enumerate(orders) if order is not None]
     if not acceptable:
@@ -178,13 +183,13 @@ def _select_smallest_order(
     return *rows[k], order
 
 
-def _replace_origin(result: tuple[ReducedBasis, int], text: str) -> tuple[ReducedBasis, int]:
-    """Set the description of a basis's origin to ``text``.
+def _describe_origin(result: tuple[ReducedBasis, int], text: str = "") -> tuple[ReducedBasis, int]:
+    """Describe the origin of a basis by the name of its method, followed by ``text``.
 
     ``result`` contains the basis and the order of its reduced model; the order is unchanged.
     """
     basis, order = result
-    return replace(basis, origin=text), order
+    return replace(basis, origin=f"{basis.method}; {text}"), order
 
 
 def require_order(basis: ReducedBasis, tolerance: float, advice: str) -> int:

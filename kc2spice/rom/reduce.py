@@ -67,6 +67,9 @@ MAX_INTERMEDIATE_SHARE = 0.5
 # If rounding errors use more than three quarters of the tolerance, the reduction does not subtract
 # rounding errors. In this case, the error estimate exceeds the tolerance, and the reduction warns.
 MIN_REMAINING_SHARE = 0.25
+# Relative error above which a reduced model of prescribed order causes a warning. A model whose
+# response is zero has the relative error 1.
+USELESS_ERROR = 1.0
 # Requested error of the intermediate model if the order is prescribed, found by trials.
 FIXED_ORDER_TARGET = 1e-8
 
@@ -91,9 +94,11 @@ def reduce_model(
     * If ``order`` is given, a proportionally damped second-order model with a positive definite
       stiffness matrix is reduced by block Arnoldi at s0 = 0 (Schütz, Maeter and Bechtold,
       Actuators 10 (2021) 279, section 2.3).
-    * Models whose ports are signals are also reduced to first-order models by balanced truncation.
-      The first-order model is the result only if it has fewer states than the second-order model,
-      and if the full model is not proven passive.
+    * Models whose ports are all signals are also reduced to first-order models by balanced
+      truncation. A model by balanced truncation is the result if it has fewer states than the
+      model by response POD. If definite matrices prove the stability of the response-POD model, the
+      balanced-truncation model is the result only with at least about 9 % fewer states. Passive
+      symmetric models of first order remain passive.
     * Structural damping is replaced by viscous damping of each mode, or by relaxations where
       relaxations are much more accurate. The error estimate includes the error of the replacement.
       The function warns if the error of the replacement exceeds the tolerance.
@@ -113,13 +118,15 @@ def reduce_model(
         required.
     band : tuple of two floats, optional
         Lowest and highest frequency in Hz. The default is the band of the model. If the model has
-        no band, the band ends a little above the fifth natural frequency.
+        no band, the band ends a little above the fifth natural frequency. The natural frequencies
+        of a first-order model are the corner frequencies 1 / (2 pi tau) of its time constants tau.
     norm : "pointwise" or "peak", default "pointwise"
         Divisor of the error of each response entry: the size of the entry at the same frequency
         (pointwise), or the largest size of the entry in the band (peak).
     contact : bool, default False
-        Whether the reduced model has a third more states. The additional states represent the
-        response above the band. Contacts excite a body at frequencies above the band.
+        Whether to keep a third more states than the tolerance requires, for bodies with contacts.
+        The additional states represent the response above the band. Contacts excite a body at
+        frequencies above the band.
     method : str or Reductor, optional
         Method of reduction. By default, response POD and the variants of balanced truncation that
         suit the model are tried.
@@ -200,7 +207,7 @@ def _reduce_viscous_damping(fom: LinearModel, target: ReductionTarget) -> Linear
     else:
         basis, order = find_smallest_basis(task, reductors, target)
     rom = certify(basis, order)
-    warn_of_rounding_errors(rom, intermediate.floor, target.tolerance)
+    warn_of_inaccuracy(rom, intermediate.floor, target.tolerance)
     return certify_with_full_order(rom, full_order_proof)
 
 
@@ -299,8 +306,11 @@ def find_basis_of_order(
             bases[key] = reductor, [_compute_basis_of_prescribed_method(task, reductor)]
         else:
             suited = (item for item in reductors if item.congruence and item.applies_to(task))
-            candidates = (item.basis(task) for item in suited)
-            bases[key] = None, [basis for basis in candidates if basis is not None]
+            candidates = ((item.name, item.basis(task)) for item in suited)
+            bases[key] = (
+                None,
+                [basis.copy_with_method(name) for name, basis in candidates if basis is not None],
+            )
     prescribed = reductor is not None
     return select_basis(bases[key][1], target.order, prescribed=prescribed), target.order
 
@@ -355,20 +365,27 @@ def _compute_basis_of_prescribed_method(task: ReductionTask, reductor: Reductor)
             expected="a method that supports the structure of the model",
             hint="leave method out, so that kc2spice selects a method",
         )
-    return replace(basis, origin=f"{reductor.name}; ")
+    return replace(basis, method=reductor.name, origin=f"{reductor.name}; ")
 
 
-def warn_of_rounding_errors(rom: LinearModel, floor: float, tolerance: float | None) -> None:
-    """Warn if rounding errors of the matrix entries change the response too much.
+def warn_of_inaccuracy(rom: LinearModel, floor: float, tolerance: float | None) -> None:
+    """Warn if rounding errors or a small order make a reduced model inaccurate.
 
     ``floor`` is the relative change of the full model's response due to rounding errors of its
     matrix entries. The function warns if ``floor``, or the error estimate of ``rom``, exceeds the
-    ``tolerance``.
+    ``tolerance``. If the ``tolerance`` is None, the order is prescribed, and the function warns if
+    the error estimate exceeds ``USELESS_ERROR``.
     """
-    if tolerance is None:
-        return
     assert rom.certificate is not None
     estimate = rom.certificate.error_estimate
+    if tolerance is None:
+        if estimate > USELESS_ERROR:
+            warn_user(
+                f"the reduced model of order {rom.order} does not represent the full model: its "
+                f"error estimate is {estimate:.3g}, and 1 is 100 % of the response; increase the "
+                f"order, or replace the order by a tolerance, such as 1e-4"
+            )
+        return
     if floor > tolerance:
         warn_user(
             f"the response of the full model has an error of {floor:.1e}, because its matrix "

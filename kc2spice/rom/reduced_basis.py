@@ -281,9 +281,9 @@ class ReducedBasis:
     ``pencil``. Every reduced model contains the first ``fixed`` unknowns: rigid-body modes, and
     static responses of conservative ports. If ``congruence`` is true, the projection preserves the
     symmetry and definiteness of the matrices. The certificate's description of the method begins
-    with the text ``origin``. ``vectors`` contains the basis vectors as columns, or is None if the
-    basis vectors are unknown. ``coordinates`` names the model in whose unknowns the basis vectors
-    are expressed.
+    with the text ``origin``. ``method`` is the name of the reduction method. ``vectors`` contains
+    the basis vectors as columns, or is None if the basis vectors are unknown. ``coordinates`` names
+    the model in whose unknowns the basis vectors are expressed.
     """
 
     task: ReductionTask
@@ -293,6 +293,16 @@ class ReducedBasis:
     congruence: bool = True
     vectors: np.ndarray | None = None
     coordinates: Coordinates = "intermediate"
+    method: str = ""
+
+    def copy_with_method(self, method: str) -> ReducedBasis:
+        """Return a copy of the basis that contains the name of its reduction method.
+
+        The copy also contains the responses that were already computed for the basis.
+        """
+        result = replace(self, method=method)
+        result.responses.update(self.responses)
+        return result
 
     @property
     def size(self) -> int:

@@ -33,7 +33,7 @@ from kc2spice.rom.reduce import (
     list_methods,
     reduce_model,
     require_valid_target,
-    warn_of_rounding_errors,
+    warn_of_inaccuracy,
 )
 from kc2spice.rom.reduced_basis import (
     MIN_ERROR_ESTIMATE,
@@ -123,7 +123,8 @@ def reduce(
     band : tuple of two floats or strings, optional
         Lowest and highest frequency in Hz, or as strings such as ``"20 kHz"``. The default of
         ``band`` is the band of the model. If the model has no band, the band ends a little above
-        the fifth natural frequency.
+        the fifth natural frequency. The natural frequencies of a first-order model are the corner
+        frequencies 1 / (2 pi tau) of its time constants tau.
     norm : "pointwise" or "peak", optional
         Divisor of the error of each response entry: the size of the entry at the same frequency,
         but at least a millionth of its peak (``"pointwise"``), or the largest size of the entry in
@@ -153,8 +154,10 @@ def reduce(
 
         By default, only methods are tried that preserve passivity: response POD, and for symmetric
         first-order models also balanced truncation by congruence. If all ports are signals, the
-        other variants of balanced truncation are tried too, and the model with the fewest states
-        is returned. ``kc2spice reduce --method compare`` compares all methods.
+        other variants of balanced truncation are tried too, and replace response POD if they save
+        at least about 10 % of the states. Passive symmetric models of first order, such as networks
+        of resistors and capacitors, always remain passive. ``kc2spice reduce --method compare``
+        compares all methods.
     parameters : mapping, optional
         Leave this argument out; any entry raises a UsageError, which explains where to state
         parameters. The parameters of a model are stated in a :class:`kc2spice.AffineModel`, or in
@@ -277,7 +280,8 @@ class Reduction(AdvisesOnAttributes):
     band : tuple of two floats or strings, optional
         Lowest and highest frequency in Hz, or as strings such as ``"20 kHz"``. The default of
         ``band`` is the band of the model. If the model has no band, the band ends a little above
-        the fifth natural frequency.
+        the fifth natural frequency. The natural frequencies of a first-order model are the corner
+        frequencies 1 / (2 pi tau) of its time constants tau.
     norm : "pointwise" or "peak", optional
         Divisor of the relative error, as for :func:`kc2spice.reduce`.
     tolerance : float, default 1e-6
@@ -453,7 +457,7 @@ class Reduction(AdvisesOnAttributes):
         else:
             basis, order = self._find_basis_within(tolerance, target)
         rom = certify(basis, order)
-        warn_of_rounding_errors(rom, self._intermediate.floor, tolerance)
+        warn_of_inaccuracy(rom, self._intermediate.floor, tolerance)
         return certify_with_full_order(rom, self._proof)
 
     def error(self, order: int) -> float:

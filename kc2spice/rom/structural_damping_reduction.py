@@ -395,8 +395,8 @@ def reduce_to_first_order(
     """Reduce a model to a passive first-order model if all reduced poles are real.
 
     The function ``reduced`` reduces a copy of ``model`` that has no mass matrix. If a
-    pole of ``reduced_model`` is not real, or if the first-order model does not have fewer states,
-    the result is ``reduced_model``.
+    pole of ``reduced_model`` is not real, or if the first-order model has more states, the result
+    is ``reduced_model``. If both have the same number of states, the result is a passive model.
     """
     known = reduced_model.certificate
     if known is None or any(port.domain is ACCELERATION for port in model.ports):
@@ -429,7 +429,9 @@ def reduce_to_first_order(
         return reduced_model
     small = reduced(massless_model, tolerance - inertia_error, known.band_hz)
     certificate = small.certificate
-    if certificate is None or small.order >= states or not certificate.passive:
+    # a passive model with the same number of states is better than a model that is not passive
+    most = states - 1 if known.passive else states
+    if certificate is None or small.order > most or not certificate.passive:
         return reduced_model
     method = f"{certificate.method}; without inertia, which changes the response by "
     method += f"{inertia_error:.1e}"

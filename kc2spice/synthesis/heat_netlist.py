@@ -142,8 +142,15 @@ def decouple_heat(model: LinearModel) -> tuple[np.ndarray, np.ndarray]:
     UsageError : as in :func:`compute_heat_modes`.
     """
     K, E = model.pencil.make_dense().coefficients
-    if not model.symmetric or np.linalg.eigvalsh(model.D).min(initial=0.0) < 0:
-        raise _make_not_passive_error(model, "matrices that are not symmetric, or a negative D")
+    if not model.symmetric:
+        raise _make_not_passive_error(
+            model,
+            "matrices that are not symmetric, such as those of heat transport by a flow",
+            'for each heat input, write a port of kind = "input" with its column of the matrix B, '
+            'and for each temperature, a port of kind = "output" with its row of the matrix C',
+        )
+    if np.linalg.eigvalsh(model.D).min(initial=0.0) < 0:
+        raise _make_not_passive_error(model, "a matrix D with a negative eigenvalue")
     K, E = 0.5 * (K + K.T), 0.5 * (E + E.T)
     for size in map(np.linalg.eigvalsh, (K, E)):
         if size[0] < -ZERO_EIGENVALUE * np.abs(size).max():
@@ -209,7 +216,7 @@ def _separate_stored_heat(E: np.ndarray, K: np.ndarray) -> tuple[np.ndarray, np.
     return stored, conducted
 
 
-def _make_not_passive_error(model: LinearModel, got: str) -> UsageError:
+def _make_not_passive_error(model: LinearModel, got: str, hint: str = "") -> UsageError:
     """Make the error about a heat model that is not a passive network."""
     return UsageError(
         "this model is not a passive heat model",
@@ -217,7 +224,7 @@ def _make_not_passive_error(model: LinearModel, got: str) -> UsageError:
         got=got,
         expected="E dx/dt + K x = B q, y = B^T x + D q, with symmetric E, K and D without "
         "negative eigenvalues",
-        hint="E contains heat capacities, K thermal conductances; check their signs",
+        hint=hint or "E contains heat capacities, K thermal conductances; check their signs",
     )
 
 

@@ -36,6 +36,7 @@ SIGN_TEXT = (
     "um, m/s and N are positive upwards; 1 A into a pin is an upward force of 1 N on the part"
 )
 FLOW_TEXT = "pin voltages are relative to the reference node; currents are positive into the pins"
+MODAL_EXCITATION = ", where a contact or a steep edge can excite modes"
 ROOM_TEXT = "constant temperature; no heating, ageing or failure"
 OUTWARDS_TEXT = (
     "um and N are positive along each port's direction, out of the body; 1 A into a pin is a force "
@@ -50,11 +51,14 @@ def wrap_comment(text: str) -> list[str]:
     return list(map("* {}".format, lines))
 
 
-def write_rom_comments(reduction: ReductionSummary, certificate: Certificate) -> tuple[str, ...]:
+def write_rom_comments(
+    reduction: ReductionSummary, certificate: Certificate, excitation: str = MODAL_EXCITATION
+) -> tuple[str, ...]:
     """Return comment lines that state the error estimate of a reduced model.
 
     The lines also state the circuit error and the errors of the compliance above the band. The
-    lines also state whether stability or passivity is not proven.
+    lines also state whether stability or passivity is not proven. ``excitation`` describes what can
+    excite the model above the band.
     """
     errors = [f"{error:.2g} at {f:g} Hz" for f, error in certificate.above]
     compliance = f"; error of the compliance above the band: {', '.join(errors)}" if errors else ""
@@ -62,7 +66,7 @@ def write_rom_comments(reduction: ReductionSummary, certificate: Certificate) ->
     proofs = "" if certificate.stable and certificate.passive else certificate.proofs
     facts = certificate.method, proofs, f"emitted circuit to model: {share}"
     method = "; ".join(filter(None, facts))
-    above = "no error estimate above the band, where a contact or a steep edge can excite modes"
+    above = f"no error estimate above the band{excitation}"
     first, *more = wrap_comment(f"rom: ({method}); {above}{compliance}")
     return f"* rom: {reduction.summary}", first.replace("* rom:", "*  ", 1), *more
 

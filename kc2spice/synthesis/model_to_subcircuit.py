@@ -30,6 +30,7 @@ from kc2spice.synthesis.circuit_error import accelerates_frame, estimate_circuit
 from kc2spice.synthesis.heat_netlist import estimate_leak_share, is_heat_model, write_heat_model
 from kc2spice.synthesis.heat_sources import HEAT_PIN_ROWS, LOSS_NODE
 from kc2spice.synthesis.library_headers import (
+    MODAL_EXCITATION,
     OUTWARDS_TEXT,
     format_parameter_defaults,
     list_netlist_pins,
@@ -69,6 +70,7 @@ NEGLIGIBLE_ERROR = 1e-3
 NEGLIGIBLE_LOSS = 1e-14
 RATED_BY_HEAT = "not known; keep temperatures within the limits of its materials"
 UNRATED = "not known; keep field and stress within the limits of its materials"
+UNRATED_SIGNALS = "not known; the model is linear at any signal amplitude"
 
 
 @check_arguments
@@ -84,6 +86,7 @@ def subcircuit(
     weights: StepWeights = RINGING_WEIGHTS,
     noise: bool = False,
     heat: bool = False,
+    temperature: str = "",
 ) -> Subcircuit:
     """Return the netlist subcircuit of a linear model, with pins for all ports.
 
@@ -122,6 +125,8 @@ def subcircuit(
     heat : bool, default False
         Whether the losses leave the subcircuit as a heat flow between the additional pins ``heat``
         and ``ambient``.
+    temperature : str, optional
+        Temperature of the material data, for the header of the library, such as ``"25 C"``.
 
     Returns
     -------
@@ -188,7 +193,12 @@ def subcircuit(
         about, body = write_resonators(form, rom, terminals, base, weights, noise)
         losses = list(write_losses(form, terminals, base)) if heat else []
     elif heat:
-        raise _make_unknown_losses_error(name, "a model with coupled states, or with signal ports")
+        raise _make_unknown_losses_error(
+            name,
+            "a model with coupled states, or with signal ports",
+            "in place of damping per material, write for example  damping = { quality = 50, "
+            f"loss_tangent = 0.02 }}, or leave the pin {HEAT} out",
+        )
     else:
         about, body = write_blocks(form, rom, terminals, base)
         if base == "ref":
@@ -209,17 +219,18 @@ def subcircuit(
         mesh=mesh,
         title=title,
         rating=rating,
+        temperature=temperature,
     )
 
 
-def _make_unknown_losses_error(name: str, got: str) -> UsageError:
+def _make_unknown_losses_error(name: str, got: str, hint: str = "") -> UsageError:
     """Make the error for a requested heat pin of a model whose losses are unknown."""
     return UsageError(
         "the losses of this model are unknown, so this model cannot have a heat pin",
         where=name,
         got=got,
         expected="a body with electrodes or mechanical ports, whose damping does not couple modes",
-        hint=f"leave the pin {HEAT} out",
+        hint=hint or f"leave the pin {HEAT} out",
     )
 
 
@@ -297,8 +308,8 @@ def make_subcircuit(
     short first time step, ngspice chooses the pivots of its equations. Circuits of passive elements
     need no short first time step; for such circuits, ``base`` is empty. ``losses`` are the cards of
     heat flows from losses; they follow the cards of the elements. With ``losses``, the subcircuit
-    has heat pins. ``words`` contains three texts for the header: ``title``, ``rating``, and
-    ``valid``, the range of validity.
+    has heat pins. ``words`` contains texts for the header: ``title``, ``rating``, ``temperature``
+    of the material data, and ``valid``, the range of validity.
 
     The error estimate in the header is the circuit error plus the error estimate of the
     certificate. The circuit is compared with ``rom`` at the default values of the parameters, and
@@ -322,19 +333,30 @@ def make_subcircuit(
             attach_comments([*first, *body, *losses]),
         )
         circuit = replace(circuit, pins=ends, items=items)
+    data = "data of the model"
+    if words.get("temperature"):
+        data = f"material data ({words['temperature']})"
+    valid = f"small signals{band}{within} at the temperature of the {data}; {absent}"
+    rating, excitation = words["rating"], MODAL_EXCITATION
+    if not any(port.conservative for port in rom.ports):
+        valid, excitation = f"linear{band}{within}", ""
+        rating = UNRATED_SIGNALS if rating == UNRATED else rating
+    elif is_heat_model(rom):
+        excitation = ""
+    comments: tuple[str, ...] = ()
+    if reduction and certificate:
+        comments = write_rom_comments(reduction, certificate, excitation)
     head = write_part_header(
         header,
         f"{name}: {words['title']}",
         pins,
         params,
-        rom=write_rom_comments(reduction, certificate) if reduction and certificate else (),
+        rom=comments,
         mesh=mesh,
         heat=HEAT_PINS if losses else "",
         sign=OUTWARDS_TEXT,
-        rating=words["rating"],
-        validity=words.get("valid")
-        or f"small signals{band}{within} at the temperature of its "
-        f"data (20 to 25 C, of built-in materials); {absent}",
+        rating=rating,
+        validity=words.get("valid", valid),
     )
     circuit = replace(circuit, notes=(*head, "", *about))
     title = f"{name}: {words['title']}"

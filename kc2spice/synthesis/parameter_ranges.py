@@ -7,9 +7,9 @@ from itertools import product
 
 import numpy as np
 
-from kc2spice.netlist.circuit import Element, Param, Parameters
+from kc2spice.netlist.circuit import Param, Parameters
 from kc2spice.netlist.number_and_name_spelling import format_number
-from kc2spice.netlist.shared_cards import Line, convert_to_element_name
+from kc2spice.netlist.shared_cards import Line, write_condition_stops
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.range_reduction import ModelOverRanges
 
@@ -70,10 +70,11 @@ def write_range_checks(parameters: Sequence[Param]) -> Iterator[Line]:
 def write_range_stops(parameters: Sequence[Param], base: str) -> Iterator[Line]:
     """Yield resistors that stop the simulator if a parameter is out of range.
 
-    The resistance is 1 Ohm if the parameter is within its range, and otherwise not a number. The
-    name of the resistor states the range, because the simulator prints it in the error message.
+    If a parameter is out of range, its check in :func:`write_range_checks` has the value -1. The
+    square root of -1 in the value of a resistor is not a number, which stops the simulator.
     """
-    for k, p in enumerate(parameters, 1):
-        words = f"{p.name}_must_be_{p.low:.6g}_to_{p.high:.6g}"
-        suffix = convert_to_element_name(words)
-        yield Element.from_words(f"R{suffix}", "tick", base, f"{{sqrt(inside{k})}}")
+    conditions = {
+        f"{p.name}_must_be_{p.low:.6g}_to_{p.high:.6g}": f"sqrt(inside{k})"
+        for k, p in enumerate(parameters, 1)
+    }
+    return write_condition_stops(conditions, base)

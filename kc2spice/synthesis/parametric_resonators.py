@@ -89,6 +89,7 @@ def parametric_subcircuit(
     title: str = "reduced linear model of the whole device",
     rating: str = UNRATED,
     weights: StepWeights = RINGING_WEIGHTS,
+    temperature: str = "",
 ) -> Subcircuit:
     """Return the subcircuit of a model that depends on parameters.
 
@@ -113,6 +114,8 @@ def parametric_subcircuit(
         Largest permitted load of the device, for the header of the library.
     weights : StepWeights, optional
         How closely the step control of the simulator follows the modes.
+    temperature : str, optional
+        Temperature of the material data, for the header of the library, such as ``"25 C"``.
 
     Returns
     -------
@@ -163,7 +166,7 @@ def parametric_subcircuit(
     ]
     params = (*parameters, *([DAMPING_PARAMETER] if any(model.damped) else []))
     words = {"title": title, "rating": rating, "within": ", parameters within their ranges,"}
-    words["mesh"] = write_mesh_error_text(rom.facts)
+    words |= {"mesh": write_mesh_error_text(rom.facts), "temperature": temperature}
     head, others = header or Header(model.name, "-"), list(sample_range(model, parameters))
     about = [_describe_resonators(model.ports, base)]
     if soft := rom.facts.get(SOFT_SUPPORT):

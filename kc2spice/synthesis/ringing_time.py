@@ -16,12 +16,13 @@ from itertools import accumulate
 
 import numpy as np
 
+from kc2spice.core.domains import ELECTRICAL, HEAT
 from kc2spice.core.si_prefix_format import format_quantity
 from kc2spice.core.user_warnings import warn_user
 from kc2spice.netlist.deck import Deck
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.modal_models import compute_resonators
-from kc2spice.scene.scene_classes import BuiltScene
+from kc2spice.scene.scene_classes import BuiltScene, Scene
 
 # Natural logarithm of the ratio of the initial amplitude to the amplitude at which ringing ends.
 LOG_AMPLITUDE_RATIO = math.log(1e3)
@@ -126,8 +127,29 @@ def warn_of_long_run(build: BuiltScene, deck: Deck) -> None:
         warn_user(
             f"this run needs at least {points:.2g} time points and {seconds:.2g} s of CPU time, "
             f"because its largest time step is {step} ({build.largest_step.why}). {larger} "
-            f"{end} reduces the number of points"
+            f"{end} reduces the number of points{_suggest_mean_power(scene)}"
         )
+
+
+def _suggest_mean_power(scene: Scene) -> str:
+    """Suggest to compute temperatures from a mean power; empty without heated parts.
+
+    A periodic source heats a part during many periods, whose time points are many. A pin ``heat``
+    of a part without electrical pins, such as a ``heat_body``, receives heat.
+    """
+    heated = [
+        name
+        for name in scene.parts
+        if scene.nets.get((name, HEAT), "0") != "0"
+        and any(terminal.domain is ELECTRICAL for terminal in scene.pins(name))
+    ]
+    if not heated or not scene.period:
+        return ""
+    return (
+        f". To compute temperatures without a transient, read the mean power from a probe of "
+        f"{heated[0]}.power in an `ac` analysis, and use this power as `dc` of a source of the "
+        "kind `heat_flow`"
+    )
 
 
 def _warn_of_ringing(build: BuiltScene, deck: Deck) -> None:

@@ -51,7 +51,8 @@ def compare_methods(
         each method, and a row ``default`` for a reduction without the option ``--method``. Each row
         contains the ``order``, the number of first-order ``states``, the ``error_estimate`` in the
         selected norm, and the CPU time ``cpu_s``. The ``peak_error`` is relative to the peak of
-        each response entry. If a method fails, its row contains the ``reason`` instead.
+        each response entry. ``first_order``, ``passive`` and ``reduction_method`` describe the
+        reduced model. If a method fails, its row contains the ``reason`` instead.
         ``shared_cpu_s`` is the CPU time for computing the basis of the intermediate model; all
         methods use this basis. Only the CPU time in the row ``default`` includes this basis.
         ``stable`` states whether the full-order model is stable.
@@ -153,7 +154,7 @@ def _run_method(
     except Exception as error:  # an error in a user's method must not end the comparison
         reason = f"{type(error).__name__}: {error}"
     row: dict[str, Any] = {"method": method, "order": None, "states": None, "error_estimate": None}
-    row["peak_error"] = None
+    row |= {"peak_error": None, "first_order": None, "passive": None, "reduction_method": ""}
     if rom is not None:
         assert rom.certificate is not None
         row |= {
@@ -161,6 +162,9 @@ def _run_method(
             "states": count_first_order_states(rom),
             "error_estimate": rom.certificate.error_estimate,
             "peak_error": reduction.peak_error(rom),
+            "first_order": rom.first_order,
+            "passive": rom.certificate.passive,
+            "reduction_method": rom.certificate.reduction_method,
         }
     return row | {"cpu_s": time.process_time() - begin, "reason": reason}
 

@@ -89,6 +89,10 @@ METHODS_NOTE = (
     "other methods may need fewer states, often without a proof of passivity: repeat the command "
     "with --method compare, which prints the number of states of each method"
 )
+RATES_NOTE = (
+    "by default, the band of a first-order model ends slightly above 1 / (2 pi tau), where tau is "
+    "its fifth longest time constant; for faster changes of the inputs, add --band 0 F1"
+)
 WARNING_MISFIT = 0.01  # smallest error of a fit to a measured part for which a warning is printed
 # Largest error of a fit to a measured part with noisy data, as a multiple of the rms noise.
 MAX_NOISE_RATIO = 3.0
@@ -129,7 +133,8 @@ def reduce_file(
     band : tuple of two floats, optional
         Lowest and highest frequency of the reduction in Hz. The default is the band of
         ``NAME.toml`` or of the scene. If neither file states a band, the band ends a little above
-        the fifth natural frequency.
+        the fifth natural frequency. The natural frequencies of a first-order model are the corner
+        frequencies 1 / (2 pi tau) of its time constants tau.
     tolerance : float, optional
         Largest relative error of the reduced model in the band. Without ``order``, the default is
         1e-4.
@@ -281,9 +286,12 @@ def _reduce_matrices(
         if not check.passed:
             warn_user(check.violation)
     facts = result | {"full_form": describe_order(model)}
+    notes = []
     if method is None and order is None and _may_need_fewer_states(model):
-        facts["notes"] = [METHODS_NOTE]
-    return facts
+        notes.append(METHODS_NOTE)
+    if band is None and model.band is None and model.first_order:
+        notes.append(RATES_NOTE)
+    return facts | ({"notes": notes} if notes else {})
 
 
 def _may_need_fewer_states(model: LinearModel) -> bool:

@@ -44,7 +44,8 @@ def row(name: str, norm: str) -> list[str]:
     scale = np.maximum(np.abs(exact), 1e-6 * peak) if norm == "pointwise" else peak
     error = np.max(np.abs(reduced.transfer(frequencies) - exact) / scale)
     estimate = reduced.certificate.error_estimate
-    sizes = str(len(matrices["K"])), str(reduced.order)
+    form = "first order" if reduced.first_order else "second order"
+    sizes = str(len(matrices["K"])), f"{reduced.order}, {form}"
     return [name, norm, *sizes, f"{estimate:.0e}", f"{error:.0e}"]
 
 
