@@ -45,9 +45,11 @@ from kc2spice.netlist.card_parser import (
     LAPLACE_HINT,
     OPTION_CARDS,
     Statement,
+    parse_element,
     split_comment,
     split_statements,
 )
+from kc2spice.netlist.circuit import NODE_COUNTS
 from kc2spice.netlist.expression import BUILT_IN_NAMES, FUNCTIONS
 from kc2spice.netlist.number_and_name_spelling import format_comment
 
@@ -494,8 +496,9 @@ def _list_card_problems(
             hint = "delete this line if it is a title; move a card into the .subckt"
         if not subcircuits:
             hint = (
-                "put the circuit between  .subckt NAME NODE ref  and  .ends, without title, "
-                "analysis and .end lines"
+                "put the circuit between  .subckt NAME NODE1 NODE2 ref  and  .ends, without title, "
+                "analysis and .end lines; name its reference node `ref`, and write  "
+                'subckt = "NAME"  in the scene'
             )
         yield what, _PART_FILE_CONTENT, hint
     if not part and "interp" in options:
@@ -590,6 +593,10 @@ _LTSPICE_COMMANDS = {
     ".net": "delete this line",
 }
 _ALLOWED_ELEMENTS = frozenset("bcdefghijklmqrstuvwxz")
+# Commands of ngspice that are also possible names of elements, such as Cd and Load. ngspice 39 runs
+# these commands only between .control and .endc, after *#, and in files that begin with *ng_script.
+# Among the cards of a netlist, ngspice 39 reads the line ``cd a 0 1n`` as a capacitor.
+# tests/spice/hostile contains lines that begin with these commands.
 _SHELL_WORDS = frozenset((
     "shell", "system", "codemodel", "source", "load", "exec", "alias", "osdi", "write", "wrdata",
     "hardcopy", "cd", "set", "unset", "pre_codemodel", "pre_osdi", "quit", "exit",
@@ -632,6 +639,7 @@ def read_checked_circuit(
             raise make_forbidden_line_error(reason, path, line.where, quotation)
     for card in result.cards():
         _require_known_command(card)
+        _require_complete_element(card, path)
         _require_known_options(card)
         for reason in _find_card_faults(card):
             raise make_forbidden_line_error(reason, path, card.where, card.written)
@@ -723,6 +731,26 @@ def _require_known_command(card: Statement) -> None:
         raise card.make_error(f"ngspice has no command {key}", card.written[:120], expected, hint)
 
 
+def _require_complete_element(card: Statement, path: Path) -> None:
+    """Require a complete element if its name is a command of ngspice, such as ``cd``.
+
+    Raises
+    ------
+    UsageError : the line begins with a command, such as ``cd``, and has too few nodes or no value.
+    """
+    if card.keyword not in _SHELL_WORDS or card.keyword[0] not in NODE_COUNTS:
+        return
+    try:
+        parse_element(card)
+    except UsageError as error:
+        fault = make_forbidden_line_error(
+            f"has the command {card.keyword}", path, card.where, card.written
+        )
+        complete = f"; if it is an element, {error.hint}" if error.hint else ""
+        fault.hint = f"delete this line{complete}"
+        raise fault from None
+
+
 def _require_known_options(card: Statement) -> None:
     """Reject misspelt options, such as ``reltl`` for ``reltol``.
 
@@ -746,9 +774,11 @@ def _require_known_options(card: Statement) -> None:
 def _find_card_faults(card: Statement) -> Iterator[str]:
     """Yield the security faults of a card, including its continuation lines."""
     key = card.keyword
-    if key.startswith(".") or key in _SHELL_WORDS:
+    if key.startswith("."):
         if key not in ALLOWED_COMMANDS:
             yield f"has the command {key}"
+    elif key in _SHELL_WORDS and key[0] not in NODE_COUNTS:
+        yield f"has the command {key}"
     elif key[0] not in _ALLOWED_ELEMENTS:
         yield "contains a card that is not a permitted element"
     if key in OPTION_CARDS:

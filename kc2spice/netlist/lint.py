@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from itertools import chain
 from operator import attrgetter
+from typing import NamedTuple
 
 from kc2spice.core.disjoint_groups import DisjointGroups
 from kc2spice.core.errors import UsageError, join_first, list_candidates
@@ -290,60 +291,93 @@ def _check_connections(
                 )
 
 
+class _SourceBranch(NamedTuple):
+    """Series connection of ideal voltage sources between two nets, in order from the first net."""
+
+    first: str
+    last: str
+    sources: tuple[Element, ...]
+
+
 def _check_source_loops(top: Scope) -> Iterator[UsageError]:
     """Yield an error for each voltage source that closes a loop of voltage sources.
 
     The currents in such a loop have no unique value, so the simulator fails. The loop consists of V
-    elements and of E elements that are controlled by a voltage.
+    elements and of E elements that are controlled by a voltage. Each subcircuit definition is
+    checked once, even if many instances refer to it.
     """
-    sources = list(_list_ideal_sources(top, "", {}, frozenset()))
-    groups = DisjointGroups(chain.from_iterable(nets for _, nets in sources))
-    sources_at: dict[str, list[tuple[str, Element]]] = {}  # accepted sources, by net
-    for source, (plus, minus) in sources:
-        if groups.are_joined(plus, minus):
-            yield _make_loop_error(source, _find_source_path(sources_at, plus, minus))
+    problems: list[UsageError] = []
+    _find_branches_between_pins(top, {}, problems)
+    yield from problems
+
+
+def _find_branches_between_pins(
+    scope: Scope, known: dict[int, list[_SourceBranch]], problems: list[UsageError]
+) -> list[_SourceBranch]:
+    """Find the ideal voltage sources that connect pins of a circuit, or a pin and ground.
+
+    ``known`` maps the ``id()`` of the scope of each circuit that was already examined to the result
+    for this circuit. The function adds an error to ``problems`` for each loop inside the circuit.
+    """
+    if id(scope) in known:
+        return known[id(scope)]
+    known[id(scope)] = []  # a subcircuit that contains itself is reported elsewhere
+    branches = list(_list_source_branches(scope, known, problems))
+    ends = chain.from_iterable((branch.first, branch.last) for branch in branches)
+    terminals = dict.fromkeys((*scope.pins, "0"))
+    groups = DisjointGroups((*terminals, *ends))
+    branches_at: dict[str, list[_SourceBranch]] = {}  # accepted branches, by net
+    for branch in branches:
+        first, last, sources = branch
+        if groups.are_joined(first, last):
+            *others, source = *_find_source_path(branches_at, first, last), *reversed(sources)
+            problems.append(_make_loop_error(source, others))
             continue
-        groups.join(plus, minus)
-        sources_at.setdefault(plus, []).append((minus, source))
-        sources_at.setdefault(minus, []).append((plus, source))
+        groups.join(first, last)
+        branches_at.setdefault(first, []).append(branch)
+        branches_at.setdefault(last, []).append(_SourceBranch(last, first, sources[::-1]))
+    for group in groups.list_groups():
+        joined = [*filter(terminals.__contains__, group)]
+        for pin in joined[1:]:
+            path = _find_source_path(branches_at, joined[0], pin)
+            # each source is listed once, although it can belong to several instances
+            distinct = tuple({id(item): item for item in path}.values())
+            known[id(scope)].append(_SourceBranch(joined[0], pin, distinct))
+    return known[id(scope)]
 
 
-def _list_ideal_sources(
-    scope: Scope, path: str, nets: Mapping[str, str], enclosing: frozenset[str]
-) -> Iterator[tuple[Element, tuple[str, str]]]:
-    """Yield each ideal voltage source of a circuit, with the nets of its two nodes.
+def _list_source_branches(
+    scope: Scope, known: dict[int, list[_SourceBranch]], problems: list[UsageError]
+) -> Iterator[_SourceBranch]:
+    """Yield each ideal voltage source of a circuit, and the branches inside of its instances.
 
-    ``path`` is the prefix of the nets inside an instance, and ``nets`` contains the nets of its
-    pins. ``enclosing`` contains the file and line of the definition of each enclosing subcircuit.
+    The arguments are the same as for :func:`_find_branches_between_pins`.
     """
-
-    def find_net(node: str) -> str:
-        """Find the name of a node's net in the flattened circuit."""
-        return "0" if node in GROUND_NAMES else nets.get(node, f"{path}{node}")
-
     for element in scope.elements:
-        ends = list(map(find_net, element.lower_case_nodes))
+        nodes = element.lower_case_nodes
+        ends = ["0" if node in GROUND_NAMES else node for node in nodes]
         words = {*map(str.lower, element.values), *element.settings}
         # An E element with an expression is not ideal, because it may depend on currents.
         # A V element with the word ``portnum`` is not ideal, because it contains a resistance.
         if element.kind in "ve" and not element.quantity and "portnum" not in words:
-            yield element, (ends[0], ends[1])
+            yield _SourceBranch(ends[0], ends[1], (element,))
         called = scope.find_subcircuit(element.model) if element.kind == "x" else None
-        if called is not None and called.where not in enclosing:
-            inner = dict(zip(called.pins, ends, strict=False))
-            prefix, inside = f"{path}{element.key}.", enclosing | {called.where}
-            yield from _list_ideal_sources(called, prefix, inner, inside)
+        if called is not None:
+            nets = {"0": "0"} | dict(zip(called.pins, ends, strict=False))
+            for first, last, sources in _find_branches_between_pins(called, known, problems):
+                if first in nets and last in nets:
+                    yield _SourceBranch(nets[first], nets[last], sources)
 
 
 def _find_source_path(
-    sources_at: Mapping[str, Collection[tuple[str, Element]]], first: str, last: str
+    branches_at: Mapping[str, Collection[_SourceBranch]], first: str, last: str
 ) -> list[Element]:
     """Return the sources that join two nets; empty if both nets are the same."""
     paths: dict[str, list[Element]] = {first: []}
     for net in (waiting := [first]):
-        for other, source in sources_at.get(net, ()):
+        for _, other, sources in branches_at.get(net, ()):
             if other not in paths:
-                paths[other] = [*paths[net], source]
+                paths[other] = [*paths[net], *sources]
                 waiting.append(other)
     return paths[last]
 

@@ -21,7 +21,7 @@ _PLAIN_EXPONENTS = str.maketrans("²³", "23")
 _INFIX_UNIT = re.compile(r"(\d+)([a-df-z][a-z]*)(\d+)", re.IGNORECASE)
 _VALID_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,63}")
 # Names that simulators treat as ground, time, temperature, a constant, a multiplier or a function.
-_RESERVED_NAMES = frozenset({"gnd", "time", "temper", "hertz", "temp", "dtemp", "pi", "m", "limit"})
+RESERVED_NAMES = frozenset({"gnd", "time", "temper", "hertz", "temp", "dtemp", "pi", "m", "limit"})
 
 
 def format_number(value: float) -> str:
@@ -77,22 +77,27 @@ def require_name(text: str, *, where: str = "netlist") -> str:
     ------
     UsageError : the text is not a letter followed by letters, digits and underscores.
     """
-    if _VALID_NAME.fullmatch(text) is None or text.lower() in _RESERVED_NAMES:
+    if not is_valid_name(text):
         raise UsageError(
             "this text is not a valid name in netlists",
             where=where,
             got=repr(text),
             expected="a letter, then letters, digits or _ (64 at most), no reserved word",
-            hint=f"for example {_suggest_name(text)}",
+            hint=f"for example {suggest_name(text)}",
         )
     return text
 
 
-def _suggest_name(text: str) -> str:
+def is_valid_name(text: str) -> bool:
+    """Return whether a text is a valid name of a node, a part or a parameter."""
+    return _VALID_NAME.fullmatch(text) is not None and text.lower() not in RESERVED_NAMES
+
+
+def suggest_name(text: str) -> str:
     """Return a valid name that is similar to an invalid name."""
     words = re.findall(r"\w+", text, re.ASCII)
     name = "_".join(words)[:60].strip("_")
-    return name if name[:1].isalpha() and name.lower() not in _RESERVED_NAMES else f"n_{name}"
+    return name if name[:1].isalpha() and name.lower() not in RESERVED_NAMES else f"n_{name}"
 
 
 def format_voltage(plus: str, minus: str) -> str:

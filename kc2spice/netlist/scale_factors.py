@@ -9,11 +9,14 @@ and then reads the printed text. For 1500 random numbers, :func:`read_value` and
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator
 from decimal import Decimal
 from itertools import chain
 
+from kc2spice.core.errors import UsageError
+from kc2spice.core.units import NUMBER_WITH_UNIT, UNIT_PREFIXES, parse_unit
 from kc2spice.netlist.expression import PREFIXES
 
 # smallest and largest magnitude of a number without a scale factor
@@ -22,6 +25,8 @@ LARGEST_PLAIN = 1000
 _FLOAT = re.compile(r"[-+]?(?:\d+\.\d*|\.\d+|\d+(?=[eE]))(?:[eE][-+]?\d+)?")
 _EMBEDDED_FLOAT = re.compile(rf"(?<![\w.+-]){_FLOAT.pattern}(?![\w.])")
 _DIGIT_PARTS = re.compile(r"([-+]?)(\d*)\.?(\d*)(?:[eE]([-+]?\d+))?([a-z]*)")
+_MICRO_SIGNS = str.maketrans("µμ", "uu")
+_OHM = re.compile(r"(?i)ohms?$")
 _PREFIX_LETTERS = {power: key for key, power in PREFIXES.items()}
 
 
@@ -43,6 +48,66 @@ def read_parameter(text: str) -> float:
     assert match is not None
     plain = float(text.removesuffix(match[5])) * float(f"1e{PREFIXES[match[5]]}")
     return read_value(f"{plain:.15e}")
+
+
+def read_user_number(text: str, where: str | None = None) -> float:
+    """Return the value of a number with a SPICE scale factor or an SI unit.
+
+    A SPICE scale factor stands directly after the number, as in ``3.3m``. A unit gives the number
+    in SI units without prefixes, so ``3.3 mH`` is the number 0.0033.
+
+    Raises
+    ------
+    UsageError : the text is not a number, or SPICE and SI give it different values, as for ``4.7M``
+        and ``1F``.
+
+    Examples
+    --------
+    >>> [read_user_number(text) for text in ("3.3m", "3.3 mH", "2.8kHz", "1meg", "4700")]
+    [0.0033, 0.0033, 2800.0, 1000000.0, 4700.0]
+    """
+    match = NUMBER_WITH_UNIT.fullmatch(text)
+    suffix = _OHM.sub("Ohm", match[2].translate(_MICRO_SIGNS)) if match else ""
+    expected = 'a number such as 0.0033, "3.3m" as in SPICE, or "3.3 mH" with a unit'
+    powers = dict[str, int]()  # power of ten of each meaning of the suffix
+    separate = match is not None and text.strip() != match[1] + match[2]
+    factor = next(key for key in PREFIXES if suffix.lower().startswith(key))
+    # mil is omitted: ngspice reads 3mil as 76 um on cards, but as 0.003 in parameters
+    if (
+        (not separate or len(suffix) == 1)
+        and (not suffix or suffix.isalpha())
+        and not suffix.lower().startswith("mil")
+    ):
+        powers["in SPICE"] = PREFIXES[factor]
+    exact = suffix.lower() == factor
+    unit = parse_unit(suffix[3:] if factor == "meg" and not exact else suffix)
+    # after a blank, a letter such as m is a unit rather than a prefix
+    if exact and suffix in UNIT_PREFIXES and (unit is None or not separate):
+        powers["as an SI prefix"] = UNIT_PREFIXES[suffix]
+    elif unit is not None and suffix:
+        powers["as a unit"] = unit[0] + 6 * (factor == "meg")
+    elif not exact:
+        powers.clear()
+    values = dict[str, float]()
+    if match is not None:
+        values = {key: float(Decimal(match[1]).scaleb(power)) for key, power in powers.items()}
+    if not values or not all(map(math.isfinite, values.values())):
+        raise UsageError(
+            "this text is not a number with a known suffix",
+            where=where,
+            got=repr(text)[:200],
+            expected=expected,
+            hint="write the number without a suffix, such as 3.3e-3",
+        )
+    if len(set(values.values())) > 1:
+        raise UsageError(
+            "this number has different values in SPICE and in SI",
+            where=where,
+            got=repr(text),
+            expected=expected,
+            hint="write " + " or ".join(f"{v:g} ({text} {key})" for key, v in values.items()),
+        )
+    return next(iter(values.values()))
 
 
 def format_with_prefix(text: str) -> str:

@@ -18,7 +18,7 @@ from kc2spice.netlist.circuit import (
     key_by_lower_name,
 )
 from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.expression import join_terms, parse_vector, split_terms
+from kc2spice.netlist.expression import join_terms, parse_literal, parse_vector, split_terms
 from kc2spice.netlist.name_scopes import Scope
 from kc2spice.netlist.number_and_name_spelling import format_number
 from kc2spice.netlist.shared_cards import add_title
@@ -90,13 +90,19 @@ def list_parameterised_subcircuits(part: Subcircuit) -> Iterator[tuple[str, Circ
 
 
 def list_parameter_defaults(deck: Deck) -> dict[str, float]:
-    """Return the default value of each numeric parameter, keyed by ``PART.NAME``."""
+    """Return the default value of each parameter, keyed by ``PART.NAME``.
+
+    The default value of a parameter may have a SPICE suffix, as in ``3.3m``. If the default value
+    is an expression, the result contains NaN.
+    """
     result = {}
     for part in deck.parts:
         for library, item in list_parameterised_subcircuits(part):
             for name, text in item.defaults.items():
-                with contextlib.suppress(ValueError):  # a default that is an expression is left out
-                    result[f"{library}.{name}"] = float(text)
+                value = None
+                with contextlib.suppress(UsageError):  # the text is not an expression of ngspice
+                    value = parse_literal(text.strip("{}' "), where=item.where)
+                result[f"{library}.{name}"] = math.nan if value is None else value
     return result
 
 

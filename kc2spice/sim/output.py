@@ -82,6 +82,7 @@ _STATISTICS_PATTERNS = {
     "cpu_s": r"Total analysis time \(seconds\) = ([0-9.eE+-]+)",
 }
 
+_SWEEP_FAILURE = re.compile(r"DC:\s+timestep too small;\s+\w+_swept = ", re.IGNORECASE)
 _ADVICE_BY_CAUSE: Mapping[FailureKind | None, str] = {
     "timestep": "time steps become small at discontinuities and in very stiff parts: try more "
     "damping, a softer stop for impacts, a stiffer stop for an electrostatic gap, hysteresis or a "
@@ -89,6 +90,12 @@ _ADVICE_BY_CAUSE: Mapping[FailureKind | None, str] = {
     "singular": "look for loops of voltage sources, nodes between capacitors and parts of value 0",
     "operating point": "look for the included circuit's state at t = 0; give it a .nodeset",
 }
+# advice if a dc sweep finds no operating point at a value after the first value
+_SWEEP_ADVICE = (
+    "the state of the circuit jumps at this value of the sweep: try a stiffer stop for an "
+    "electrostatic gap, a finite transition width of a switch, or an end of the sweep before this "
+    "value"
+)
 
 
 @dataclass(frozen=True)
@@ -209,10 +216,10 @@ def find_run_failure(
         cause = "ngspice stopped before the end of the transient"
         got = ", ".join(filter(None, (f"last time point {last:g} s", blamed)))
         error = FailedRunError(cause, where=where, got=got, expected=f"{stop:g} s")
-    error.failure, error.hint = (
-        replace(report, cause=cause, part=part),
-        _ADVICE_BY_CAUSE.get(report.kind),
-    )
+    error.failure = replace(report, cause=cause, part=part)
+    error.hint = _ADVICE_BY_CAUSE.get(report.kind)
+    if report.kind == "operating point" and _SWEEP_FAILURE.search(cause):
+        error.hint = _SWEEP_ADVICE
     return error
 
 

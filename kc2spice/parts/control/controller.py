@@ -17,6 +17,7 @@ from pydantic import Field
 
 from kc2spice.core.constitutive_laws import MissingEquations
 from kc2spice.core.errors import UsageError
+from kc2spice.core.key_actions import SetKey
 from kc2spice.core.quantities import Section, Time
 from kc2spice.core.si_prefix_format import format_quantity
 from kc2spice.netlist.circuit import Element, Item
@@ -83,6 +84,7 @@ class Controller(PartType[ControllerKeys]):
     """Part type ``controller``: sampled controller that is a Python function."""
 
     name = "controller"
+    origin_of_pins = "The key `inputs` of a part lists the names of its input pins."
     title = "controller that is a Python function, sampled"
     schema = ControllerKeys
     source = "Python function"
@@ -207,7 +209,9 @@ wiring = "parallel"
                 expected=(
                     f"file = \"NAME.py\", or kc.run(scene, functions={{'{part.name}': FUNCTION}})"
                 ),
-                hint=f'add  file = "NAME.py"  to [{part.name}], a file beside the scene',
+                hint=SetKey(
+                    part.name, "file", '"NAME.py"', verb="add", end=", a file beside the scene"
+                ),
             )
         if not build.trust:
             raise part.wrong(

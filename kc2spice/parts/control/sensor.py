@@ -13,6 +13,7 @@ from pydantic import Field
 from kc2spice.core import constitutive_laws as laws
 from kc2spice.core.domains import DISPLACEMENT, TRANSLATION
 from kc2spice.core.errors import UsageError
+from kc2spice.core.key_actions import DeleteKey
 from kc2spice.core.quantities import BOLTZMANN, DEFAULT_TEMPERATURE, Frequency, Length, Section
 from kc2spice.core.si_prefix_format import format_quantity
 from kc2spice.netlist.circuit import Element, Item, Param
@@ -123,7 +124,7 @@ dc = "1 um"
                 "the noise of a sensor does not apply to this analysis",
                 got=scene.analysis.type,
                 expected=f"analysis.type {' or '.join(kinds)}, or a sensor without noise",
-                hint="delete the key `noise`",
+                hint=DeleteKey("noise"),
             )
 
     def subcircuits(

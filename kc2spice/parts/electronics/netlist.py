@@ -6,29 +6,46 @@ The netlist is checked before a simulator reads it.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import chain, filterfalse
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from kc2spice.core.constitutive_laws import MissingEquations
 from kc2spice.core.domains import PIN_UNITS, SIGNAL
 from kc2spice.core.errors import UsageError, did_you_mean, list_candidates, unknown
-from kc2spice.core.quantities import Ratio, Section, Slew, Voltage
+from kc2spice.core.quantities import (
+    Section,
+    Slew,
+    Voltage,
+    convert_quantity,
+    make_invalid_value_error,
+)
 from kc2spice.core.user_warnings import warn_user
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.card_parser import read_cards
 from kc2spice.netlist.circuit import Pin
 from kc2spice.netlist.importer import Syntax, translate_circuit
 from kc2spice.netlist.include_scan import read_included_netlist, read_untrusted_netlist
-from kc2spice.netlist.name_scopes import Scope, build_scope, conducts_to_ground, has_vector
-from kc2spice.netlist.number_and_name_spelling import format_number
-from kc2spice.netlist.number_and_name_spelling import require_name as checked
+from kc2spice.netlist.name_scopes import (
+    GROUND_NAMES,
+    Scope,
+    build_scope,
+    conducts_to_ground,
+    has_vector,
+)
+from kc2spice.netlist.number_and_name_spelling import (
+    RESERVED_NAMES,
+    format_number,
+    is_valid_name,
+    suggest_name,
+)
+from kc2spice.netlist.scale_factors import read_user_number
 from kc2spice.netlist.subcircuit_library import Header, Subcircuit
 from kc2spice.parts.electronics._parts_with_netlist_template import (
     RAIL_MARGIN,
@@ -67,6 +84,18 @@ RATING_ADVICE = (
     "the circuit exceeds the limits in its key `ratings`: check the circuit for a glitch, or for a "
     "diode drop beyond the rails"
 )
+
+
+def _read_parameter_value(si: str, value: object) -> float:
+    """Convert a number, or a text such as ``3.3m``, to the value of a parameter."""
+    try:
+        return read_user_number(value) if isinstance(value, str) else convert_quantity(value, si)
+    except UsageError as error:
+        raise make_invalid_value_error(error.message, error.expected, hint=error.hint) from None
+
+
+# value of a netlist parameter, which has no unit in the scene
+ParameterValue = Annotated[float, BeforeValidator(partial(_read_parameter_value, ""))]
 
 
 class PinRating(Section):
@@ -115,11 +144,12 @@ class NetlistKeys(Section):
             "Simulator for which the netlist file was written: ngspice, ltspice or pspice"
         ),
     )
-    parameters: dict[str, Ratio] = Field(
+    parameters: dict[str, ParameterValue] = Field(
         default_factory=dict,
         description=(
-            "Values of the subcircuit's parameters, a table { NAME = number }, in the units of the "
-            "netlist file; all other parameters have the default values of the netlist file"
+            "Values of the subcircuit's parameters, a table { NAME = VALUE }. VALUE is a number, a "
+            'text with a SPICE suffix such as "3.3m", or a text with a unit such as "3.3 mH". All '
+            "other parameters have the default values of the netlist file"
         ),
     )
     units: dict[str, str] = Field(
@@ -154,6 +184,9 @@ class Netlist(PartType[NetlistKeys]):
     name = "netlist"
     noise = "noise of the elements in its netlist"
     title = "the user's own subcircuit"
+    origin_of_pins = (
+        "The pins of a part are the pins of its `.subckt` in the netlist file, in the same order."
+    )
     schema = NetlistKeys
     source = "user netlist"
 
@@ -200,7 +233,20 @@ class Netlist(PartType[NetlistKeys]):
                 )
         scope = _read_subcircuit(part, scene) if part.keys.parameters else None
         defaults = {} if scope is None else scope.defaults
+        spellings: dict[str, str] = {}
         for name in part.keys.parameters:
+            other = spellings.setdefault(name.lower(), name)
+            if other != name:
+                yield part.wrong(
+                    f"parameters.{name}",
+                    "the names of two parameters differ in letter case only",
+                    got=f"{other} and {name}",
+                    expected="names that differ in more than letter case",
+                    hint=(
+                        f"delete {other} or {name}; to override {other}, write {other} in place "
+                        f"of {name}"
+                    ),
+                )
             if name.lower() not in map(str.lower, defaults):
                 error = unknown("the subcircuit has no such parameter", name, defaults)
                 hint = error.hint if defaults else f"add  {name}=VALUE  to its .subckt card"
@@ -402,7 +448,7 @@ def _read_pins(part: Part[NetlistKeys], scene: DeclaredScene) -> tuple[str, ...]
     """
     file, folder = part.keys.file, scene.get_folder(part)
     try:
-        known = _read_subcircuits(file, folder, _read_modification_time(part, scene)).pins
+        netlist = _read_subcircuits(file, folder, _read_modification_time(part, scene))
     except UsageError as error:
         if error.where in (
             Path(file).name,
@@ -410,6 +456,7 @@ def _read_pins(part: Part[NetlistKeys], scene: DeclaredScene) -> tuple[str, ...]
         ):  # the error concerns the whole file, not a single line
             error.where, error.got = f"{part.name}.file", error.got or repr(file)
         raise
+    known = netlist.pins
     pins = known.get(part.keys.subckt.lower())
     if pins is None:
         raise part.wrong(
@@ -422,7 +469,8 @@ def _read_pins(part: Part[NetlistKeys], scene: DeclaredScene) -> tuple[str, ...]
             or f"add a .subckt {part.keys.subckt} to {part.keys.file}",
         )
     for pin in pins:
-        checked(pin, where=f"{part.name}.subckt")
+        if not is_valid_name(pin):
+            raise _make_pin_name_error(part, pin, pins, netlist.places[part.keys.subckt.lower()])
     missing = [*filterfalse(pins.__contains__, part.pins)]
     if missing and part.at[1:2] == ("driver",):
         raise UsageError(
@@ -433,6 +481,31 @@ def _read_pins(part: Part[NetlistKeys], scene: DeclaredScene) -> tuple[str, ...]
             hint=f"rename a pin of .subckt {part.keys.subckt} to {missing[0]}",
         )
     return pins
+
+
+def _make_pin_name_error(
+    part: Part[NetlistKeys], pin: str, pins: Sequence[str], where: str
+) -> UsageError:
+    """Return the error for a pin of a user's subcircuit whose name is not valid.
+
+    ``where`` is the file and line of the ``.subckt`` card with the ``pins``.
+    """
+    name, low = suggest_name(pin), [*map(str.lower, pins)]
+    message = f"the pin {pin} of .subckt {part.keys.subckt} has no valid name"
+    if pin.lower() in GROUND_NAMES:
+        message = f"the pin {pin} of .subckt {part.keys.subckt} is node 0, the global ground"
+        # an unconnected pin ref is connected to node 0
+        name = next(item for item in ("ref", "vss", "ground") if item not in low)
+    elif pin.lower() in RESERVED_NAMES:
+        message = f"the pin {pin} of .subckt {part.keys.subckt} has a reserved name of ngspice"
+    return UsageError(
+        message,
+        where=where,
+        got=pin,
+        expected="a letter, then letters, digits or _ (64 at most); no reserved name such as "
+        "gnd, time or temper",
+        hint=f"rename the node {pin} to {name} in all lines of .subckt {part.keys.subckt}",
+    )
 
 
 def _list_probed_nodes(part: Part[NetlistKeys], scene: DeclaredScene) -> Iterator[tuple[str, str]]:
@@ -480,9 +553,13 @@ def _read_modification_time(part: Part[NetlistKeys], scene: DeclaredScene) -> in
 
 @dataclass(frozen=True)
 class _NetlistFile:
-    """Subcircuit pins in a netlist file, and whether the file has an ``ac`` source."""
+    """Subcircuit pins in a netlist file, and whether the file has an ``ac`` source.
+
+    ``places`` contains the file and the line of each ``.subckt`` card.
+    """
 
     pins: dict[str, tuple[str, ...]]
+    places: dict[str, str]
     excites: bool
 
 
@@ -492,14 +569,15 @@ def _read_subcircuits(file: str, home: Path, stamp: int) -> _NetlistFile:
 
     ``stamp`` is the modification time of the file, and is part of the cache key.
     """
-    result, excites = {}, False
+    result, places, excites = {}, {}, False
     for card in read_untrusted_netlist(file, home).cards():
         words = list(map(str.lower, card.words))
         excites = excites or (card.keyword[:1] in ("v", "i") and "ac" in words[3:])
         if card.keyword == ".subckt" and len(card.words) > 1:
             pins = [w for w in card.words[2:] if "=" not in w and w.lower() != "params:"]
             result[card.words[1].lower()] = tuple(pins)
-    return _NetlistFile(result, excites)
+            places[card.words[1].lower()] = card.where
+    return _NetlistFile(result, places, excites)
 
 
 register_part_type(Netlist())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -15,6 +16,7 @@ from kc2spice.core import constitutive_laws as laws
 from kc2spice.core import waveforms as waves_
 from kc2spice.core.domains import QUANTITIES, Domain, Quantity, Side
 from kc2spice.core.errors import UsageError
+from kc2spice.core.key_actions import ChangeKey, SetKey
 from kc2spice.core.quantities import Section, convert_quantity, make_invalid_value_error
 from kc2spice.core.si_prefix_format import format_quantity
 from kc2spice.core.spectrum import find_waveform_frequency
@@ -186,9 +188,31 @@ class SourceKeys(Section):
         except UsageError as error:
             expected = error.expected or "numbers with units"
             raise make_invalid_value_error(
-                error.message, expected, error.where, error.hint
+                error.message,
+                expected,
+                error.where,
+                self._suggest_kind(error.where) or error.next_action,
             ) from None
         return self
+
+    def _suggest_kind(self, where: str | None) -> SetKey | None:
+        """Suggest the kind whose unit is the unit of a rejected value, or None.
+
+        ``where`` is the dotted key of the value. A stated kind is not changed.
+        """
+        value: object = self
+        for step in (where or "").split("."):
+            if isinstance(value, tuple) and step.isdecimal():
+                value = value[int(step)]
+            else:
+                value = getattr(value, step, None)
+        if "kind" in self.model_fields_set or not isinstance(value, str):
+            return None
+        for kind, form in SOURCE_TYPES.items():
+            with suppress(UsageError):
+                convert_quantity(value, form.unit)
+                return SetKey("", "kind", f'"{kind}"', verb="add", place="")
+        return None
 
     @property
     def waveform_key(self) -> str:
@@ -239,14 +263,16 @@ class SourceKeys(Section):
                     "the edge time of the pulse is longer than the pulse width",
                     where="pulse",
                     expected=f"an edge time above zero and at most the pulse width, {p.width:g} s",
-                    hint=f"lower pulse.edge to {p.width / 10:g} s" if p.width > 0 else None,
+                    hint=ChangeKey("lower", "pulse.edge", "to", f"{p.width / 10:g} s")
+                    if p.width > 0
+                    else None,
                 )
             if p.period is not None and p.period < p.width + p.edge:
                 raise UsageError(
                     "successive pulses overlap",
                     where="pulse",
                     expected=f"a period of at least width + edge, {p.width + p.edge:g} s",
-                    hint=f"raise pulse.period to {p.width + p.edge:g} s",
+                    hint=ChangeKey("raise", "pulse.period", "to", f"{p.width + p.edge:g} s"),
                 )
             return waves_.make_pulse_waveform(
                 low, high, p.start, p.width, p.edge, p.period, p.count
