@@ -409,7 +409,8 @@ class Result(AdvisesOnAttributes):
     Attributes
     ----------
     scene : name of the scene or deck.
-    metrics : numbers by name, in the SI unit that ``record["metric_units"]`` states. An unknown
+    metrics : numbers by name, in the SI unit that ``record["metric_units"]`` states. In an ``ac``
+        analysis, curves such as ``impedance_ohm`` are arrays over the frequency. An unknown
         name in ``metrics``, ``waves`` or ``units`` raises a KeyError that lists similar names.
     waves : arrays of shape (points,) in SI units, keyed by name, with one value for each time,
         frequency or swept value. The waveforms of an ``ac`` analysis are complex arrays.
@@ -622,7 +623,8 @@ def _make_result(
     """Combine deck, waveforms, record and checks of a run into a :class:`Result`."""
     scale = next(iter(waves.data))
     units = {scale: SCALES.get(scale, ""), **deck.units}
-    metrics, data = NamedValues(record.get("metrics", {})), NamedValues(waves.data)
+    metrics = NamedValues({**record.get("metrics", {}), **record.get("curves", {})})
+    data = NamedValues(waves.data)
     return Result(record["scene"], metrics, data, NamedValues(units), checks, record, deck, **more)
 
 

@@ -116,7 +116,7 @@ PARAMETERS = {
         "--set",
         metavar="KEY=RANGE",
         help=(
-            "Vary a key of the scene, or the parameter param.PART.NAME of a subcircuit. "
+            "Vary a key of the scene, or param.PART.NAME, a parameter of the part's subcircuit. "
             "RANGE is a:b:n (linear), log:a:b:n, x,y,z (a list), normal(mu,sigma,n), "
             "uniform(a,b,n), or one value. Repeatable."
         ),
@@ -197,7 +197,8 @@ PARAMETERS = {
         help=(
             "Lowest and highest frequency of the band in which the error is estimated [Hz]. "
             "Default: the band stated in the scene or in the file NAME.toml of the model, "
-            "otherwise 0 Hz to slightly above the fifth natural frequency."
+            "otherwise 0 Hz to slightly above the fifth natural frequency. The natural frequencies "
+            "of a first-order model are 1/(2 pi tau), where tau are its time constants."
         ),
     ),
     "tolerance": typer.Option(
@@ -215,8 +216,9 @@ PARAMETERS = {
         metavar="NAME",
         help=(
             "Reduction method, such as 'response POD'. By default, response POD; if all ports are "
-            "signals, balanced truncation is tried too, and the model with the fewest states is "
-            "the result. 'compare' prints a table with the number of states of each method."
+            "signals, balanced truncation is tried too, and replaces response POD if it saves at "
+            "least about 10 % of the states. 'compare' prints a table with the number of states "
+            "of each method."
         ),
     ),
     "solver": typer.Option(
@@ -306,7 +308,8 @@ PARAMETERS = {
         "--zip",
         help=(
             "Combine the first values of all keys, then the second values, and so on. "
-            "Default: every combination of values."
+            "Default: every combination of values, except that keys with random values always "
+            "vary together."
         ),
     ),
     "latin": typer.Option(

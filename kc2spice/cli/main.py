@@ -384,25 +384,25 @@ def _scenes(
         )
     if keys:
         scene_keys = list(list_all_keys())
-        if caller.print_json_if_requested(list(map(asdict, scene_keys))):
+        if caller.print_data(list(map(asdict, scene_keys))):
             print_keys("Keys of a scene", scene_keys)
     elif parts:
         docs = list(describe_part_types())
-        if caller.print_json_if_requested(list(map(asdict, docs))):
+        if caller.print_data(list(map(asdict, docs))):
             print_table("part types", [(doc.name, doc.title) for doc in docs], names=0)
     elif part_type is not None:
         doc = describe_part_type(part_type)
-        if caller.print_json_if_requested(asdict(doc)):
+        if caller.print_data(asdict(doc)):
             print_part_type(doc)
     elif scene is not None:
         text = read_scene_toml(scene)
         if caller.as_json:
-            caller.print_json_if_requested({"scene": scene, "toml": text})
+            caller.print_data({"scene": scene, "toml": text})
         else:
             print(text, end="")
     else:
         titles = {name: load_scene(name).title for name in list_gallery()}
-        if caller.print_json_if_requested(titles):
+        if caller.print_data(titles):
             print_table("scenes", list(titles.items()))
 
 
@@ -418,7 +418,7 @@ def _parts(caller: OutputRecipient, search: str | None = None) -> None:
     from kc2spice.scene.part_type_descriptions import write_catalogue_table
 
     parts = search_parts(search or "")
-    if caller.print_json_if_requested(list(map(asdict, parts))):
+    if caller.print_data(list(map(asdict, parts))):
         rows = [(part.number, part.maker, part.device, part.kind) for part in parts]
         print_table("parts", rows, ("number", "maker", "device", "part type"), names=0)
         if (sold := find_part(search or "")) is not None:

@@ -31,10 +31,13 @@ def print_part_type(doc: PartTypeReference) -> None:
     print(textwrap.fill(summary, PIPED_COLUMNS) + "\n")
     pins = [(pin.name, *_describe_quantities(pin), _describe_default_net(pin)) for pin in doc.pins]
     if pins:
-        print_table("Pins", pins, ("pin", "across", "through", "if not connected"), names=0)
+        title = "Pins of the example" if doc.origin_of_pins else "Pins"
+        print_table(title, pins, ("pin", "across", "through", "if not connected"), names=0)
     if doc.optional_pins:
         optional = list(doc.optional_pins.items())
         print_table("Further pins", optional, ("pin", "added by the key"), names=0)
+    if doc.origin_of_pins:
+        print(textwrap.fill(doc.origin_of_pins, PIPED_COLUMNS))
     if pins or doc.optional_pins:
         print(textwrap.fill(PINS_NOTE, PIPED_COLUMNS) + "\n")
     print_keys("Keys", doc.keys)

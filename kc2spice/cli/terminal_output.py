@@ -54,6 +54,7 @@ FILE_PURPOSES = {
 LONG_TIME = 30.0
 MIN_ELAPSED_TIME = 2.0
 INTERRUPTED_EXIT_CODE = 130  # exit code of shells after Ctrl-C
+_printed_warnings: list[str] = []  # warnings that the current command has printed
 
 
 @dataclass(frozen=True)
@@ -74,10 +75,24 @@ class OutputRecipient:
         return nullcontext(ignore_progress if silent else _make_printer_of_long_stages())
 
     def print_json_if_requested(self, record: Any, out: Path | None = None) -> bool:
-        """Print ``record`` as JSON if requested; return True if tables must be printed."""
+        """Print ``record`` as JSON if requested; return True if tables must be printed.
+
+        The entry ``warnings`` of the JSON object lists the warnings of the record, and the warnings
+        that the command has printed on stderr.
+        """
         if self.as_json:
             location = {} if out is None else {"directory": str(out.absolute())}
-            print(json.dumps({**record, **location} if location else record))
+            texts = dict.fromkeys((*record.get("warnings", ()), *_printed_warnings))
+            record = {**record, **location, "warnings": list(texts)}
+        return self.print_data(record)
+
+    def print_data(self, data: Any) -> bool:
+        """Print ``data`` as JSON if requested; return True if tables must be printed.
+
+        ``data`` is a list or a mapping, such as the titles of all scenes, keyed by name.
+        """
+        if self.as_json:
+            print(json.dumps(data))
         return not (self.as_json or self.quiet)
 
 
@@ -173,12 +188,12 @@ def _describe_remaining_time(seconds: float) -> str:
 @contextmanager
 def report_errors() -> Iterator[None]:
     """Print an exception of the ``with`` block as one message; exit with its code."""
-    printed = set[str]()
+    _printed_warnings.clear()
 
     def print_once(message: Warning | str, *_: object, **__: object) -> None:
         """Print a warning, unless the command has already printed the same warning."""
-        if str(message) not in printed:
-            printed.add(str(message))
+        if str(message) not in _printed_warnings:
+            _printed_warnings.append(str(message))
             print(f"kc2spice: warning: {message}", file=sys.stderr, flush=True)
 
     warnings.showwarning = print_once

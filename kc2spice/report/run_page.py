@@ -39,6 +39,8 @@ from kc2spice.report.html import (
 from kc2spice.scene.part_records import STEP_SET_BY_USER
 from kc2spice.scene.scene_classes import Scene, compute_scene_hash
 
+# Metrics that state the frequency at which another metric applies, keyed by the other metric.
+_FREQUENCY_METRICS = {"capacitance_f": "capacitance_frequency_hz"}
 # Each row of assumptions replaces one metric of a summary, but at least MIN_METRICS remain.
 MIN_METRICS = 4
 OPERATING_RESULTS = 6  # largest number of operating-point results in a summary
@@ -275,6 +277,7 @@ def format_summary(result: Mapping[str, Any], most: int | None = None) -> PageSe
     point = format_operating_point(result, OPERATING_RESULTS)
     rows = [
         ("checks", format_verdict(checks)),
+        *_make_stop_rows(result),
         *map(_make_violation_row, violated),
         *(("WARNING", text) for text in result.get("metric_warnings", {}).values()),
         *_limit_rows(_make_metric_rows(result, with_lists=most is None), fewer, "metrics"),
@@ -283,6 +286,15 @@ def format_summary(result: Mapping[str, Any], most: int | None = None) -> PageSe
         *_make_model_rows(result),
     ]
     return PageSection("Result", rows)
+
+
+def _make_stop_rows(result: Mapping[str, Any]) -> Rows:
+    """Return a summary row of the default end time of a transient, or no row."""
+    stop = result.get("plan", {}).get("default_stop_s")
+    if stop is None:
+        return []
+    text = f"stop = {format_quantity(stop, 's')} (default of the key analysis.stop)"
+    return [("analysis", text)]
 
 
 def _make_violation_row(check: Mapping[str, Any]) -> tuple[str, str]:
@@ -299,19 +311,27 @@ def _make_metric_rows(result: Mapping[str, Any], *, with_lists: bool) -> Rows:
     units, probes = result.get("metric_units", {}), result.get("probes", {})
     errors = result.get("convergence", {}).get("errors", {})
     warned, metrics = result.get("metric_warnings", {}), {}
-    resolutions = result.get("metric_resolutions", {})
-    for name, value in flatten_mapping(result.get("metrics", {})):
+    resolutions, scopes = result.get("metric_resolutions", {}), result.get("metric_scopes", {})
+    for name, value in flatten_mapping({**result.get("metrics", {}), **result.get("curves", {})}):
         is_shown = _is_scalar(value) or (with_lists and _fits_one_row(value))
         if is_shown and name not in warned:
             metrics[name] = value
     scales = _find_largest_by_unit(metrics, units)
     rows = {}
     for name, value in metrics.items():
+        table, dot, key = name.rpartition(".")
+        if key in _FREQUENCY_METRICS.values():
+            continue  # no row, because the row of another metric states the frequency
         label, text = _make_summary_row(name, value, units, scales)
+        frequency = metrics.get(f"{table}{dot}{_FREQUENCY_METRICS.get(key)}")
+        if frequency is not None:
+            text += f" at {format_quantity(frequency, 'Hz')}"
         if value is not None and name in resolutions:
             text += f" ± {format_quantity(resolutions[name], units.get(name, ''), 3)}"
         if (kind := PROBE_WORDS.get(probes.get(name, {}).get("take"))) is not None:
             text += f", {kind} of {probes[name]['of']}"
+        if name in scopes:
+            text += f", of {scopes[name]} without its circuit"
         if name in errors:
             text += f" (error estimate {format_percent(errors[name], 2)})"
         rows[name] = label, text

@@ -15,7 +15,7 @@ import numpy as np
 import scipy
 
 from kc2spice.bodies.readers.measured_admittance import MeasuredAdmittance
-from kc2spice.bodies.solid_models import add_rayleigh_damping
+from kc2spice.bodies.solid_models import add_rayleigh_damping, get_loss_tangent_key
 from kc2spice.core.errors import UsageError
 from kc2spice.core.progress import Progress, StageTimer
 from kc2spice.fem.body_keys import DampingKeys
@@ -178,7 +178,7 @@ class BodyFit:
         if self.damping.model == "ieee176":
             return self.compute_complex_loss_response(pencil, values)
         charge = pencil.transfer(2j * np.pi * self.frequencies)[:, 0, 0]
-        return self.compute_lossy_admittance(charge, float(model.D[0, 0]), values)
+        return self.compute_lossy_admittance(charge, model, values)
 
     @property
     def damping(self) -> DampingKeys:
@@ -230,7 +230,7 @@ class BodyFit:
         assert at is not None
         damped = replace(model, rayleigh=(0.0, self.compute_loss_factor(values) / (2 * np.pi * at)))
         charge = compute_modal_transfer(damped, self.frequencies)[:, 0, 0]
-        return self.compute_lossy_admittance(charge, float(model.D[0, 0]), values)
+        return self.compute_lossy_admittance(charge, model, values)
 
     def compute_loss_factor(self, values: Mapping[str, float]) -> float:
         """Return the mechanical loss factor ``1 / Q`` for values of the fitted keys."""
@@ -246,14 +246,17 @@ class BodyFit:
         return np.r_[STATIC_FREQUENCY_RATIO * self.data.f[0], self.data.f]
 
     def compute_lossy_admittance(
-        self, charge: np.ndarray, clamped: float, values: Mapping[str, float]
+        self, charge: np.ndarray, model: LinearModel, values: Mapping[str, float]
     ) -> np.ndarray:
         """Compute the lossy admittance [S]: add dielectric loss to a ``charge`` per volt.
 
-        ``charge`` is the charge per volt [C/V] at :attr:`frequencies`.
+        ``charge`` is the charge per volt [C/V] at :attr:`frequencies`. Without a loss tangent of
+        the body, the loss tangent of the first electrode follows from the materials of ``model``.
         """
         f, charge, free = self.data.f, charge[1:], float(charge[0].real)
+        clamped, electrode = float(model.D[0, 0]), get_loss_tangent_key(model.ports[0].name)
         tangent = values.get(LOSS_TANGENT_KEY, read_loss_tangent(self.scene.get_part(self.part)))
+        tangent = tangent or model.facts.get(electrode, 0.0)
         if tangent:
             loss = (
                 compute_permittivity_ratio(
@@ -284,7 +287,7 @@ class BodyFit:
             for factor, what in ((1 + DIFFERENCE_STEP, "more"), (1 - DIFFERENCE_STEP, "less")):
                 scaled = replace(model, rayleigh=(factor * alpha, factor * beta))
                 charge = compute_modal_transfer(scaled, self.frequencies)[:, 0, 0]
-                other = self.compute_lossy_admittance(charge, float(model.D[0, 0]), values)
+                other = self.compute_lossy_admittance(charge, model, values)
                 result[f"{what} mechanical loss: vary damping.quality"] = np.log(other / Y)
         if not self.damping.per_material:
             pencil = project_on_modes(model, float(self.data.f[-1]))
@@ -362,7 +365,7 @@ class BodyFit:
         if self.damping.model == "ieee176":
             return self.compute_complex_loss_response(model.pencil, values)
         H = Response(model.pencil).transfer(2j * np.pi * self.frequencies)
-        return self.compute_lossy_admittance(H[:, 0, 0], float(model.D[0, 0]), values)
+        return self.compute_lossy_admittance(H[:, 0, 0], model, values)
 
     def reduce(
         self, parameter_axes: ParameterAxes, degree: int | None = None

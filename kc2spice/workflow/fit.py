@@ -23,7 +23,7 @@ from kc2spice.core.user_warnings import warn_user
 from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.parts.bodies._varied_keys import read_key_values
 from kc2spice.report.fit_page import PlottedCurve, write_fit
-from kc2spice.rom.parametric_models import project_on_modes
+from kc2spice.rom.parametric_models import MAX_PARAMETERS, project_on_modes
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.scene_classes import Scene
 from kc2spice.workflow.body_fit import BodyFit
@@ -36,6 +36,7 @@ from kc2spice.workflow.fit_descents import (
     run_descents,
 )
 from kc2spice.workflow.fit_keys import (
+    choose_netlist_parameters,
     format_calibrated_ranges,
     read_varied_keys,
     require_key_list,
@@ -186,6 +187,7 @@ def fit(
         if out is None:
             return NamedValues(record)
         _write_values(work / VALUES_FILE, record["values"])
+        _warn_of_fixed_keys(record["parameters"])
         (work / RANGES_FILE).write_text(
             format_calibrated_ranges(part, record["parameters"]), encoding="utf-8"
         )
@@ -264,6 +266,18 @@ def _write_values(path: Path, values: Mapping[str, float]) -> None:
     """Write values with dotted keys to a TOML file for ``--set``."""
     lines = [f'"{key}" = {value!r}' for key, value in values.items()]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def _warn_of_fixed_keys(parameters: Mapping[str, Mapping[str, Any]]) -> None:
+    """Print a warning if not all fitted keys can become parameters of a netlist."""
+    chosen = choose_netlist_parameters(parameters)
+    fixed = [key for key in parameters if key not in chosen]
+    if fixed:
+        warn_user(
+            f"{RANGES_FILE} contains the {len(chosen)} fitted keys with the largest relative "
+            f"standard errors, because a netlist has at most {MAX_PARAMETERS} parameters; the "
+            f"other keys keep their fitted values: {', '.join(fixed)}"
+        )
 
 
 def _require_one_port(measured: MeasuredAdmittance) -> None:

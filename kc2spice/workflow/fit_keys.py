@@ -21,6 +21,7 @@ from kc2spice.parts.bodies._varied_keys import (
     read_number_key,
     split_key,
 )
+from kc2spice.rom.parametric_models import MAX_PARAMETERS
 from kc2spice.scene.scene_classes import Scene
 from kc2spice.workflow.sweep.grid import parse_value, require_equal_unit_use
 
@@ -152,14 +153,31 @@ def compute_log_widths(keys: Sequence[VariedKey]) -> list[float]:
     return [abs(float(np.log(item.high / item.low))) for item in keys]
 
 
+def choose_netlist_parameters(parameters: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Choose the fitted keys that can together become parameters of a netlist.
+
+    A netlist has at most :data:`MAX_PARAMETERS` parameters. If more keys were fitted, the keys with
+    the largest relative standard errors are chosen, because their values are the least certain.
+    """
+
+    def compute_uncertainty(key: str) -> float:
+        """Return the relative standard error of a fitted value."""
+        return float(parameters[key]["sigma"] / abs(parameters[key]["value"]))
+
+    chosen = sorted(parameters, key=compute_uncertainty, reverse=True)[:MAX_PARAMETERS]
+    return [key for key in parameters if key in chosen]
+
+
 def format_calibrated_ranges(part: str, parameters: Mapping[str, Mapping[str, Any]]) -> str:
     """Return the key ``rom.parameters`` of a part, with ranges around fitted values.
 
-    Each range extends :data:`RANGE_ERRORS` standard errors on both sides of the value, and is
-    limited to the range of the fit.
+    The ranges belong to the keys of :func:`choose_netlist_parameters`. Each range extends
+    :data:`RANGE_ERRORS` standard errors on both sides of the value, and is limited to the range of
+    the fit.
     """
     result = []
-    for key, item in parameters.items():
+    for key in choose_netlist_parameters(parameters):
+        item = parameters[key]
         half = max(RANGE_ERRORS * item["sigma"], MIN_HALF_WIDTH * abs(item["value"]))
         low, high = sorted((item["low"], item["high"]))
         ends = max(low, item["value"] - half), min(high, item["value"] + half)

@@ -80,10 +80,12 @@ class CompletedRun:
             **run.result_record,
             "modes": tabulate_body_modes(build),
             "largest_step": None if step is None else {"s": step.step, "why": step.why},
-            "metrics": run.metrics,
+            "metrics": {k: v for k, v in run.metrics.items() if k not in run.curves},
+            "curves": {k: v for k, v in run.metrics.items() if k in run.curves},
             "metric_units": run.units,
             "metric_warnings": run.metric_warnings,
             "metric_resolutions": run.metric_resolutions,
+            "metric_scopes": run.metric_scopes,
             "probes": {
                 name: {"of": probe.of, "take": probe.take}
                 for name, probe in build.scene.probes.items()

@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from kc2spice.core.curve_distance import compute_curve_distance
 from kc2spice.core.errors import SimulationError, UsageError, wrong
 from kc2spice.core.memory import find_available_bytes
 from kc2spice.core.mesh_error_descriptions import list_mesh_errors
@@ -32,6 +33,7 @@ from kc2spice.scene.checks import Check, require_passed
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.metrics import find_probe_window
 from kc2spice.scene.numerical_settings import (
+    MAX_STEP_KEY,
     NumericalSetting,
     find_finest_settings,
     find_numerical_settings,
@@ -45,6 +47,11 @@ from kc2spice.workflow.simulation import (
     measure_simulator_cpu,
     run_simulation,
     simulate_deck,
+)
+from kc2spice.workflow.time_step import (
+    EDGE_LIMIT,
+    find_least_resolved_edges,
+    find_linearised_scene,
 )
 
 # Largest number of unknowns of a refined mesh. Larger meshes would take many minutes of CPU time.
@@ -65,6 +72,10 @@ DEFAULT_ERROR_LIMIT = 1e-2  # error budget if checks.reduction is set without er
 REMAINDER_FACTOR = 2.0
 # assumption: largest factor by which one refinement step reduces the error of a setting
 MAX_STEP_GAIN = 4.0
+# In a scene with a user's netlist, or another part without equations, a refined run refines the
+# largest time step by this number of steps. Such a part can produce pulses that lie between two
+# time points. A run with only half the time step can miss the same pulses.
+EDGE_REFINEMENT = 3
 MAX_ADDED_STEPS = 3  # largest number of steps by which a setting is refined between two runs
 # The divisor of a metric's relative change is at least this share of the largest metric that has
 # the same unit.
@@ -178,6 +189,11 @@ class RefinedRuns:
                 return part
         return None
 
+    @cached_property
+    def has_unmodelled_parts(self) -> bool:
+        """Whether kc2spice lacks the equations of a part, such as a user's netlist."""
+        return bool(find_linearised_scene(self.start.build).parts_without_network)
+
     @property
     def has_runs_left(self) -> bool:
         """Whether the largest number of runs permits another run."""
@@ -253,8 +269,10 @@ def compute_metric_changes(run: Run, finer: Run) -> dict[str, float]:
     the number itself. The divisor of the change is at least :data:`NEAR_ZERO_SHARE` times the
     largest metric with the same unit. For small-signal responses, :data:`SMALL_SIGNAL_SHARE`
     replaces :data:`NEAR_ZERO_SHARE`. The change of a number without a unit is relative to the
-    number itself. A curve with other time or frequency points is interpolated to the points of
-    ``run``. The change is infinite if ``run`` has no comparable metric.
+    number itself. A curve over time is interpolated to the time points of ``run``. The change of a
+    curve over frequency is the distance that
+    :func:`kc2spice.core.curve_distance.compute_curve_distance` returns. The change is infinite if
+    ``run`` has no comparable metric.
     """
     share = SMALL_SIGNAL_SHARE if run.is_small_signal else NEAR_ZERO_SHARE
     exact: dict[str, np.ndarray] = {}
@@ -272,6 +290,16 @@ def compute_metric_changes(run: Run, finer: Run) -> dict[str, float]:
         mine = run.values.get(name)
         scale = max(float(np.abs(value).max()), least.get(finer.units.get(name, ""), 0.0))
         ours, theirs = run.waves.scale.real, finer.waves.scale.real
+        if (
+            run.is_small_signal
+            and mine is not None
+            and np.isfinite(mine).all()
+            and _is_curve(mine, ours)
+            and _is_curve(value, theirs)
+        ):
+            f, finer_f = ours[-len(mine) :], theirs[-len(value) :]
+            result[name] = compute_curve_distance(f, mine, finer_f, value, scale or 1.0)
+            continue
         if mine is not None and value.shape == theirs.shape and mine.shape == ours.shape:
             value = interpolate(ours, theirs, value)
         if mine is None or mine.shape != value.shape or not np.isfinite(mine).all():
@@ -280,6 +308,12 @@ def compute_metric_changes(run: Run, finer: Run) -> dict[str, float]:
             apart = float(np.abs(mine.astype(float) - value).max())
             result[name] = apart / scale if scale else 0.0
     return result
+
+
+def _is_curve(values: np.ndarray, frequency: np.ndarray) -> bool:
+    """Return whether an array contains a value for each frequency, or for all except 0 Hz."""
+    least = max(frequency.size - 1, 1)
+    return values.ndim == 1 and least <= values.size <= frequency.size
 
 
 # --- an error budget ------------------------------------------------------------------------------
@@ -378,6 +412,8 @@ def converge_to_budget(start: Run, clock: StageTimer) -> ConvergedRun | None:
     why, last, stalls = "", math.inf, 0
     other = "change the keys that the run refined"
     while True:
+        if budget is not None:
+            steps = _resolve_edges(runs, steps)
         now = estimate_errors(runs, steps)
         if now is None:
             why = "a refined run failed"
@@ -492,8 +528,8 @@ def estimate_errors(runs: RefinedRuns, steps: RefinementSteps) -> RunEstimate | 
     finest = tuple(map(attrgetter("name"), runs.finest))
     meshes = [setting for setting in runs.refinable if setting.model]
     for fixed_settings in ([], meshes) if meshes else ([],):
-        finer = _try_run(
-            runs, _add_steps(steps, [item for item in runs.refinable if item not in fixed_settings])
+        finer = _try_finer_run(
+            runs, steps, [item for item in runs.refinable if item not in fixed_settings]
         )
         unmoved = (*map(attrgetter("name"), fixed_settings), *finest)
         if finer is not None:
@@ -536,6 +572,41 @@ def estimate_by_coarser_runs(
     return result
 
 
+def _resolve_edges(runs: RefinedRuns, steps: RefinementSteps) -> RefinementSteps:
+    """Refine the largest time step until the edges of all voltages are resolved.
+
+    The times of unresolved edges differ between runs at random, so the change of a metric in a
+    refined run would not be an error estimate. The refinement also ends if the time step cannot be
+    refined further, or if a run fails.
+    """
+    setting = next((item for item in runs.refinable if item.name == MAX_STEP_KEY), None)
+    while setting is not None:
+        run = runs.get_refined_run(steps)
+        edges, _ = find_least_resolved_edges(run.build, run.waves)
+        if edges.share <= EDGE_LIMIT:
+            break
+        at = steps.get(setting.name, 0)
+        ratio = edges.sufficient_step / setting.rule.refine(setting.value, at)
+        by = _limit_added_steps(setting, at, math.ceil(math.log(ratio, setting.rule.factor)))
+        moved = _add_steps(steps, [setting], by)
+        if not by or _try_run(runs, moved) is None:
+            break
+        steps = moved
+    return steps
+
+
+def _limit_added_steps(setting: NumericalSetting, at: float, most: int) -> int:
+    """Limit the added refinement steps, so that one further step remains possible.
+
+    The result is the largest such number up to ``most``, or 0. ``at`` is the present number of
+    refinement steps.
+    """
+    for by in range(most, 0, -1):
+        if setting.refine_keys(at + by) != setting.refine_keys(at + by + 1):
+            return by
+    return 0
+
+
 def _refine_dominant_setting(
     runs: RefinedRuns, now: RunEstimate, shares: dict[str, float], limit: float
 ) -> RefinementSteps | None:
@@ -552,6 +623,9 @@ def _refine_dominant_setting(
                 shares[setting.name] = max(
                     _estimate_metric_errors(now.run, alone).values(), default=0.0
                 )
+    if MAX_STEP_KEY in shares and runs.has_unmodelled_parts and max(shares.values()) <= limit:
+        # pulses between two time points are missed even if the step is one refinement step finer
+        shares[MAX_STEP_KEY] = now.largest_error
     for setting in sorted(
         runs.refinable, key=lambda setting: shares.get(setting.name, -1.0), reverse=True
     ):
@@ -560,16 +634,7 @@ def _refine_dominant_setting(
         far = int(math.log(max(shares[setting.name] / limit, 1.0)) / math.log(MAX_STEP_GAIN))
         most = 1 if setting.model else min(max(far, 1), MAX_ADDED_STEPS)
         at = now.steps.get(setting.name, 0)
-        # Choose the largest number of added steps after which one further refinement step would
-        # still change the value of the setting.
-        by = next(
-            (
-                n
-                for n in range(most, 0, -1)
-                if setting.refine_keys(at + n) != setting.refine_keys(at + n + 1)
-            ),
-            0,
-        )
+        by = _limit_added_steps(setting, at, most)
         if not by:
             # The setting has its finest value; refining other settings does not reduce its error.
             return None
@@ -596,6 +661,20 @@ def _try_run(runs: RefinedRuns, steps: RefinementSteps) -> Run | None:
         return runs.get_refined_run(steps) if runs.has_runs_left else None
     except (SimulationError, UsageError):
         return None
+
+
+def _try_finer_run(
+    runs: RefinedRuns, steps: RefinementSteps, moved: Sequence[NumericalSetting]
+) -> Run | None:
+    """Run a scene with some settings one step finer; return None if the run fails.
+
+    If the scene contains a part without equations, such as a user's netlist, the largest time step
+    is :data:`EDGE_REFINEMENT` steps finer.
+    """
+    finer = dict(_add_steps(steps, moved))
+    if runs.has_unmodelled_parts and any(setting.name == MAX_STEP_KEY for setting in moved):
+        finer[MAX_STEP_KEY] += EDGE_REFINEMENT - 1
+    return _try_run(runs, finer)
 
 
 def _limit_to_resolution(errors: Mapping[str, float], run: Run) -> dict[str, float]:

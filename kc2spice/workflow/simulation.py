@@ -6,7 +6,7 @@ import contextlib
 import os
 import shutil
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
@@ -50,6 +50,9 @@ class Run(RunOutcome):
     ``metric_warnings`` are the warnings of metrics by dotted name, for metrics with a warning.
     ``metric_resolutions`` are the resolutions of metrics, such as a pull-in voltage, whose exact
     values lie between two points of a sweep.
+    ``curves`` are the names of metrics that are arrays over the frequency.
+    ``metric_scopes`` contains the name of the part for each metric that describes this part alone,
+    without the circuit around it.
     ``cpu_s`` is the CPU time [s] of the simulator including all retries.
     """
 
@@ -58,6 +61,8 @@ class Run(RunOutcome):
     units: Mapping[str, str]
     metric_warnings: Mapping[str, str]
     metric_resolutions: Mapping[str, float]
+    curves: Collection[str]
+    metric_scopes: Mapping[str, str]
     cpu_s: float
     point: OperatingPoint
 
@@ -194,6 +199,8 @@ def simulate_deck(
         units=results.units,
         metric_warnings=results.warnings,
         metric_resolutions=results.resolutions,
+        curves=results.curves,
+        metric_scopes=results.scopes,
         cpu_s=used,
         point=point,
     )

@@ -540,30 +540,38 @@ def list_step_checks(
 
 
 def _list_edge_checks(build: BuiltScene, waves: Waveforms) -> Iterator[Check]:
-    """Yield a check of the voltage at a part without equations whose edges are least resolved."""
-    parts = find_linearised_scene(build).parts_without_network
-    nodes = {f"v({net})" for (part, _), net in build.scene.nets.items() if part in parts}
-    found = []
-    for name, result in build.results.vectors.items():
-        voltage = name in waves and result.unit == "V" and result.voltage is not None
-        if voltage and not nodes.isdisjoint(node for _, node in result.terms):
-            edges = measure_unresolved_edges(waves["time"], waves[name])
-            if edges is not None and edges.share > MIN_EDGE_VALUE:
-                found.append((edges, name))
-    if found:
-        edges, name = max(found)
-        step = f"{edges.step * min(1.0, EDGE_LIMIT / edges.share):.1e}"
+    """Yield a check of the least resolved voltage edges at parts without equations."""
+    edges, name = find_least_resolved_edges(build, waves)
+    if edges.share > MIN_EDGE_VALUE:
+        step = format_quantity(float(f"{edges.sufficient_step:.1e}"), "s")
         yield Check(
             f"edges of {name}",
             edges.share,
             EDGE_LIMIT,
             "of the area of its range",
             "edges lie between two time points, so their times are uncertain: set "
-            f"solver.max_step to {format_quantity(float(step), 's')}, and lower it further if this "
-            "warning remains",
+            f"solver.max_step to {step}, and lower it further if this warning remains",
             "warn",
             label=f"unresolved edges of {name}",
         )
+
+
+def find_least_resolved_edges(build: BuiltScene, waves: Waveforms) -> tuple[UnresolvedEdges, str]:
+    """Find the least resolved edges of all voltages at parts without equations.
+
+    Return the edges, and the name of the voltage. The uncertain share of the voltage's area is 0 if
+    no time step contains an edge, or if every part of the scene has equations.
+    """
+    parts = find_linearised_scene(build).parts_without_network
+    nodes = {f"v({net})" for (part, _), net in build.scene.nets.items() if part in parts}
+    found = [(UnresolvedEdges(0.0, math.inf), "")]
+    for name, result in build.results.vectors.items():
+        voltage = name in waves and result.unit == "V" and result.voltage is not None
+        if voltage and not nodes.isdisjoint(node for _, node in result.terms):
+            edges = measure_unresolved_edges(waves["time"], waves[name])
+            if edges is not None:
+                found.append((edges, name))
+    return max(found)
 
 
 class UnresolvedEdges(NamedTuple):
@@ -571,6 +579,11 @@ class UnresolvedEdges(NamedTuple):
 
     share: float
     step: float
+
+    @property
+    def sufficient_step(self) -> float:
+        """Largest time step [s] at which a voltage's uncertain area is within its limit."""
+        return self.step * min(1.0, EDGE_LIMIT / self.share) if self.share else math.inf
 
 
 def measure_unresolved_edges(time: np.ndarray, volts: np.ndarray) -> UnresolvedEdges | None:

@@ -21,6 +21,7 @@ from kc2spice.core.quantities import convert_quantity
 from kc2spice.core.unit_spelling import find_range_ends
 from kc2spice.core.units import NUMBER_WITH_UNIT, parse_unit
 from kc2spice.core.user_warnings import warn_user
+from kc2spice.netlist.scale_factors import read_user_number
 from kc2spice.scene.keys import KeyDescription
 from kc2spice.scene.overrides import parse_override_value
 
@@ -339,12 +340,47 @@ def _require_absolute_deviation(words: Sequence[str], text: str, where: str) -> 
         )
 
 
+def _convert_netlist_numbers(kind: str, words: list[str], text: str, where: str) -> list[str]:
+    """Convert the values of a netlist parameter, such as ``3.3m``, to plain numbers.
+
+    ``words`` are the fields of the range ``text``, whose ``kind`` :func:`split_range` returns.
+
+    Raises
+    ------
+    UsageError : a value is not a number, or only one end of the range has a suffix.
+    """
+    count = len(words) if kind in ("list", "value") else 2
+    plain = [repr(read_user_number(word, where)) for word in words[:count]]
+    if kind == "normal":
+        _require_absolute_deviation([plain[0], *words[1:]], text, where)
+    numbers = list(map(NUMBER_WITH_UNIT.fullmatch, words[:count]))
+    suffixes = [number[0].strip()[number.end(1) :] for number in numbers if number]
+    is_range = kind not in ("list", "value")
+    # zero needs no suffix
+    if is_range and suffixes.count("") == 1 and all(map(float, plain)):
+        common = "".join(suffixes)
+        ends = [
+            f"{word}{'' if suffix else common}"
+            for word, suffix in zip(words[:2], suffixes, strict=True)
+        ]
+        raise ProposedRangeError(
+            "only one of these two values has a suffix",
+            where=where,
+            text=text,
+            expected="a suffix at both values, or two plain numbers",
+            proposal=join_range(kind, [*ends, *words[2:]]),
+        )
+    return [*plain, *words[count:]]
+
+
 def find_swept_key(name: str, keys: Mapping[str, KeyDescription]) -> KeyDescription:
     """Return the description of a swept key, or an empty one for any other name.
 
     ``name`` may also be the name of a list entry or of a table.
     """
-    plain = KeyDescription(name, "" if PARAMETER_KEY.fullmatch(name) else None, None, (), "")
+    parameter = PARAMETER_KEY.fullmatch(name) is not None
+    unit = "" if parameter else None
+    plain = KeyDescription(name, unit, None, (), "", of_netlist=parameter)
     return keys.get(re.sub(r"\[-?\d+\]", "", name), plain)
 
 
@@ -360,6 +396,8 @@ def parse_range(name: str, text: str, keys: Mapping[str, KeyDescription]) -> Val
     key, (kind, words) = find_swept_key(name, keys), split_range(text)
     where = f"--set '{name}={text}'"
     is_random = kind in ("normal", "uniform")
+    if key.of_netlist:
+        words = _convert_netlist_numbers(kind, words, text, where)
 
     def make_range_error(
         message: str, got: object, expected: str = RANGE_GRAMMAR, hint: str | None = None

@@ -17,12 +17,13 @@ from typing import Any
 
 import numpy as np
 
-from kc2spice.core.errors import Kc2spiceError, MissingToolError, UsageError
+from kc2spice.core.errors import Kc2spiceError, MissingToolError, UsageError, unknown
 from kc2spice.core.files import DISK_FULL_ERRORS
 from kc2spice.core.memory_store import Workspace
 from kc2spice.core.progress import StageTimer
 from kc2spice.core.toml_text import format_toml
 from kc2spice.core.untrusted_files import MAX_TEXT_BYTES, decode_text, read_bounded
+from kc2spice.core.user_warnings import collect_warnings, warn_user
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.include_scan import read_included_netlist
 from kc2spice.netlist.transforms import (
@@ -35,7 +36,7 @@ from kc2spice.netlist.transforms import (
 from kc2spice.report.html import flatten_mapping
 from kc2spice.scene.catalogue import find_part
 from kc2spice.scene.load import load_scene
-from kc2spice.scene.scene_classes import BuiltScene, Scene
+from kc2spice.scene.scene_classes import BuiltScene, Part, Scene
 from kc2spice.scene.scene_file import list_gallery
 from kc2spice.workflow.decks import prepare_deck
 from kc2spice.workflow.part_models import find_value_units, replace_parts
@@ -168,7 +169,8 @@ class PointResult:
 
     ``metrics`` are keyed by name. ``facts`` are all other numbers of ``result.json``, keyed by
     dotted path. ``units`` are the SI units of metrics and facts. If ``interrupted``, the machine
-    caused the failure, and another attempt can succeed.
+    caused the failure, and another attempt can succeed. ``warnings`` are the texts of the warnings
+    that the run issued.
     """
 
     metrics: Mapping[str, Number] = field(default_factory=dict)
@@ -176,6 +178,7 @@ class PointResult:
     units: Mapping[str, str] = field(default_factory=dict)
     failure: str | None = None
     interrupted: bool = False
+    warnings: tuple[str, ...] = ()
 
 
 def _format_overrides(values: Mapping[str, Any]) -> tuple[str, ...]:
@@ -191,18 +194,106 @@ def list_subcircuit_parameters(values: Mapping[str, Any]) -> Parameters:
     return tuple((name[1], float(value)) for name, value in result if name)
 
 
+def resolve_parameters(build: BuiltScene, deck: Deck, values: Parameters) -> Parameters:
+    """Return parameters in which the names of libraries replace the names of parts.
+
+    ``values`` contains pairs ``("PART.NAME", value)``. PART is the name of a part, or the name of
+    its library file without suffix.
+
+    Raises
+    ------
+    UsageError : no part has the parameter, PART has two meanings, several parts use the library of
+        PART, or the scene already sets the parameter.
+    """
+    known = list_parameter_defaults(deck)
+    stems = {subcircuit.name.lower(): make_library_stem(subcircuit) for subcircuit in deck.parts}
+    owners = {part: stems.get(name.lower(), "") for part, name in build.libraries.items()}
+    of_parts = {}
+    for part, stem in owners.items():
+        for key in known:
+            library, _, name = key.partition(".")
+            if library == stem:
+                of_parts[f"{part}.{name}"] = key
+    result = []
+    for key, value in values:
+        part, _, name = key.partition(".")
+        choices = {key, of_parts.get(key, key)} & known.keys()
+        where = f"param.{key}"
+        if not choices:
+            raise unknown(
+                "no part of this scene has a parameter of this name",
+                key,
+                dict.fromkeys((*of_parts, *known)),
+                where,
+            )
+        users = [user for user, stem in owners.items() if stem == owners.get(part)]
+        if len(choices) > 1:
+            raise UsageError(
+                f"{part} is the name of a part and of the library of another part",
+                where=where,
+                got=key,
+                expected="a name with one meaning",
+                hint=f"rename the part {part}, and write {of_parts[key]} for its parameter",
+            )
+        library_key = choices.pop()
+        if library_key != key and len(users) > 1:
+            raise UsageError(
+                f"{' and '.join(users)} use the same library, so their parameters cannot differ",
+                where=where,
+                got=key,
+                expected="the parameter of a library, which changes in all of these parts",
+                hint=f"write param.{library_key} in place of param.{key}",
+            )
+        stem = library_key.partition(".")[0]
+        for user in (user for user, used in owners.items() if used == stem):
+            _require_unset_parameter(build.scene.parts[user], name, key)
+        result.append((library_key, value))
+    return tuple(result)
+
+
+def _require_unset_parameter(part: Part, name: str, key: str) -> None:
+    """Reject a parameter whose default value has no effect, because a part states its value.
+
+    ``name`` is the name of the parameter, and ``param.KEY`` is the key that changes its default
+    value.
+
+    Raises
+    ------
+    UsageError : the part states a value of the parameter.
+    """
+    for stated, setting in part.type.instance_parameters(part).items():
+        if stated.lower() == name.lower():
+            raise UsageError(
+                f"the scene sets this parameter in {part.name}.parameters, so another default "
+                "value of the subcircuit has no effect",
+                where=f"param.{key}",
+                got=f"{part.name}.parameters.{stated} = {setting}",
+                expected="a parameter that the scene does not set",
+                hint=f"write {part.name}.parameters.{stated} in place of param.{key}",
+            )
+
+
 def run_point(job: SweepSettings, values: Mapping[str, Any]) -> PointResult:
     """Run one point of a sweep, and return its result or its failure.
 
-    A failure does not end the sweep.
+    A failure does not end the sweep. Warnings are part of the result, because a worker process must
+    not print.
 
     Raises
     ------
     MissingToolError : ngspice is missing, so no point could succeed on this machine.
     """
+    with collect_warnings() as texts:
+        result = _run_point(job, values)
+    return replace(result, warnings=tuple(texts))
+
+
+def _run_point(job: SweepSettings, values: Mapping[str, Any]) -> PointResult:
+    """Run one point of a sweep; warnings are issued, and errors become failures."""
     try:
         build, deck = build_sweep_point(job, values)
-        changed = (*job.parameters, *list_subcircuit_parameters(values))
+        stated = (*job.parameters, *list_subcircuit_parameters(values))
+        changed = resolve_parameters(build, deck, stated) if stated else ()
         build, deck = with_changed_parameters(build, deck, changed), with_parameters(deck, changed)
         with tempfile.TemporaryDirectory(prefix="kc2spice-") as directory:
             return _make_point_result(
@@ -242,15 +333,14 @@ def with_changed_parameters(
     for key, value in values:
         library, _, name = key.partition(".")
         users = {
-            make_library_stem(p)
-            for p in deck.parts
-            if library in dict(list_parameterised_subcircuits(p))
+            p.name.lower() for p in deck.parts if library in dict(list_parameterised_subcircuits(p))
         }
-        for owner in (p for p, used in build.libraries.items() if used in users):
+        for owner in (p for p, used in build.libraries.items() if used.lower() in users):
             other = replace_key_value(parts[owner], name, known.get(key, math.nan), value)
             if other is not None:
                 parts[owner] = other
-            elif value != known.get(key):
+            # the keys of a user's netlist never contain the default values of its parameters
+            elif value != known.get(key) and not parts[owner].is_user_netlist:
                 unchecked_parts.add(owner)
     return replace_parts(build, parts, unchecked_parts)
 
@@ -273,13 +363,23 @@ def build_sweep_point(job: SweepSettings, values: Mapping[str, Any]) -> tuple[Bu
     Points that differ only in subcircuit parameters share models and deck.
     """
     with _build_lock:
-        return _build_testbench(replace(job, fixed=(*job.fixed, *_format_overrides(values))))
+        build, deck, texts = _build_testbench(
+            replace(job, fixed=(*job.fixed, *_format_overrides(values)))
+        )
+    for text in texts:  # also if an earlier point has built the deck
+        warn_user(text)
+    return build, deck
 
 
 @lru_cache(maxsize=_CACHED_DECKS)
-def _build_testbench(job: SweepSettings) -> tuple[BuiltScene, Deck]:
-    """Build scene and deck of a sweep with the values of the file, without swept values."""
-    return prepare_deck(job.load({}), StageTimer())
+def _build_testbench(job: SweepSettings) -> tuple[BuiltScene, Deck, tuple[str, ...]]:
+    """Build scene and deck of a sweep, without swept parameters of subcircuits.
+
+    The result also contains the texts of the warnings.
+    """
+    with collect_warnings() as texts:
+        build, deck = prepare_deck(job.load({}), StageTimer())
+    return build, deck, tuple(texts)
 
 
 def _make_point_result(run: Run) -> PointResult:

@@ -12,11 +12,10 @@ import json
 import re
 import shlex
 import time
-import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import ExitStack, closing, contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import timedelta
 from functools import cached_property, partial
 from importlib import resources
@@ -36,6 +35,8 @@ from kc2spice.core.progress import Progress, ignore_progress
 from kc2spice.core.toml_text import format_toml
 from kc2spice.core.units import NUMBER_WITH_UNIT
 from kc2spice.core.untrusted_files import MAX_TEXT_BYTES, decode_text, parse_toml, read_bounded
+from kc2spice.core.user_warnings import collect_warnings, warn_user
+from kc2spice.netlist.scale_factors import read_user_number
 from kc2spice.netlist.transforms import with_parameters
 from kc2spice.parts.bodies._varied_keys import read_number_key
 from kc2spice.scene.keys import KeyDescription, list_scene_keys
@@ -50,7 +51,6 @@ from kc2spice.workflow.sweep.grid import (
     join_range,
     make_plan,
     parse_range,
-    parse_value,
     scale_quantity,
     split_range,
 )
@@ -62,6 +62,7 @@ from kc2spice.workflow.sweep.point import (
     list_subcircuit_parameters,
     read_scene_files,
     read_scene_text,
+    resolve_parameters,
     run_point,
 )
 from kc2spice.workflow.sweep.row_store import (
@@ -78,9 +79,14 @@ WRITERS = {"csv": write_csv, "parquet": write_parquet}
 
 ROWS_FILE = "rows.sqlite"
 PAGE_FILE = "sweep.html"
+_NUMBER = re.compile(r"\d[\d.]*(?:e[-+]?\d+)?")
 # largest number of faults of one range that a proposed range corrects
 _MAX_CORRECTIONS = 4
-LOST_POINT = PointResult(failure="its worker process died, twice", interrupted=True)
+LOST_POINT = PointResult(
+    failure="its worker process was killed or crashed twice, probably because the memory was full: "
+    "free memory, then repeat the sweep with fewer workers",
+    interrupted=True,
+)
 
 
 # --- planning --------------------------------------------------------------------------------
@@ -92,7 +98,7 @@ class Sweep:
 
     ``scene`` is the scene of the first point, and ``units`` are the units of the swept keys.
     ``metrics`` are the requested metrics. If no metric is requested, the table contains all
-    metrics.
+    metrics. ``warnings`` are the texts of the warnings that :func:`make_sweep` issued.
     """
 
     scene: Scene
@@ -100,6 +106,7 @@ class Sweep:
     plan: SweepPoints
     units: Mapping[str, str]
     metrics: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
 
     @cached_property
     def digest(self) -> str:
@@ -159,7 +166,11 @@ def make_sweep(
         timeout=timeout,
     )
     try:
-        return make(sets)
+        with collect_warnings() as texts:
+            sweep = make(sets)
+        for text in texts:
+            warn_user(text)
+        return replace(sweep, warnings=tuple(texts))
     except ProposedRangeError as error:
         _correct_proposal(error, sets, make)
         raise
@@ -181,7 +192,7 @@ def _correct_proposal(
     for _ in range(_MAX_CORRECTIONS):
         texts[k] = f"{name}={proposal}"
         try:
-            with warnings.catch_warnings(action="ignore"):
+            with collect_warnings():
                 make(texts)
             return
         except ProposedRangeError as next_error:
@@ -230,7 +241,7 @@ def _make_sweep(
             ranges[name] = value
             firsts |= {} if parameter else {name: words[0]}
         elif parameter:
-            constants.append((parameter[1], parse_value(value, "", f"--set {text!r}")))
+            constants.append((parameter[1], read_user_number(value, f"--set {text!r}")))
         else:
             fixed.append(text)
     if sets and not ranges:
@@ -255,7 +266,8 @@ def _make_sweep(
         _name_range_in_errors(ranges, at_first_value=True),
     ):
         first = load_first_values({})
-        keys = list_scene_keys(first) | _describe_material_constants(first, ranges)
+        keys = list_scene_keys(first)
+        keys |= _describe_entries_of_tables(first, keys, ranges)
     parsed = {name: parse_range(name, value, keys) for name, value in ranges.items()}
     plan = make_plan(parsed, zipped=zipped, latin=latin, seed=seed)
     units = {key: find_swept_key(key, keys).unit or "" for key in plan.keys}
@@ -267,21 +279,28 @@ def _make_sweep(
         return make_sweep_of_points(job, plan, units, tuple(dict.fromkeys(metrics)))
 
 
-def _describe_material_constants(scene: Scene, names: Iterable[str]) -> dict[str, KeyDescription]:
-    """Describe the swept constants of materials that are tables in the scene.
+def _describe_entries_of_tables(
+    scene: Scene, keys: Mapping[str, KeyDescription], names: Iterable[str]
+) -> dict[str, KeyDescription]:
+    """Describe the swept entries of tables whose keys the user chooses.
 
-    ``names`` are the names of all swept keys. The result is keyed by names without indices.
+    Examples are the constants of a material, and the parameters of a user's netlist. ``names`` are
+    the names of all swept keys, and ``keys`` are the keys with a description. The result is keyed
+    by names without indices.
     """
     result = {}
     for name in names:
-        if re.search(r"\.materials?\.", name):
-            owners = [p for p in scene.parts.values() if name.startswith(f"{p.key_prefix}.")]
-            with suppress(UsageError):  # the name is not a number of a material
-                for part in owners:
-                    key = name.removeprefix(f"{part.key_prefix}.")
-                    unit = read_number_key(part, key, name)[1]
-                    plain = re.sub(r"\[-?\d+\]", "", name)
-                    result[plain] = KeyDescription(plain, unit, None, (), "")
+        plain = re.sub(r"\[-?\d+\]", "", name)
+        if plain in keys:
+            continue
+        for part in scene.parts.values():
+            if not name.startswith(f"{part.key_prefix}."):
+                continue
+            with suppress(UsageError):  # the part has no numeric key of this name
+                key = name.removeprefix(f"{part.key_prefix}.")
+                unit = read_number_key(part, key, name)[1]
+                of_netlist = part.is_user_netlist and key.startswith("parameters.")
+                result[plain] = KeyDescription(plain, unit, None, (), "", of_netlist=of_netlist)
     return result
 
 
@@ -298,9 +317,11 @@ def _name_range_in_errors(
         yield
     except UsageError as error:
         for name, text in ranges.items():
+            kind, words = split_range(text)
+            if at_first_value:
+                error.hint = _write_full_range(error.hint, name, words[0], text)
             if not _concerns_key(error, name):
                 continue
-            kind, words = split_range(text)
             too_wide = kind == "normal" and not at_first_value
             if too_wide:
                 error.hint = _advise_normal_range(words)
@@ -308,15 +329,22 @@ def _name_range_in_errors(
                 error.hint = f"write a value {error.expected} in place of {words[0]}"
             elif error.message == OUT_OF_RANGE:
                 error.hint = f"write a range of values {error.expected}"
-            if error.message == UNKNOWN_KEY and at_first_value:
-                first_value, full_range = f"{name}={words[0]}", f"{name}={text}"
-                option = rf"--set '?([\w.\[\]]*{re.escape(first_value)})'?"
-                for item in re.finditer(option, error.hint or ""):
-                    quoted = shlex.quote(item[1].replace(first_value, full_range))
-                    error.hint = str(error.hint).replace(item[0], f"--set {quoted}", 1)
             if too_wide or error.message in (OUT_OF_RANGE, UNKNOWN_KEY):
                 error.where = f"--set '{name}={text}'"
         raise
+
+
+def _write_full_range(hint: str | None, name: str, first: str, text: str) -> str | None:
+    """Write the full range of a swept key in a hint, in place of its first value.
+
+    >>> _write_full_range("change --set 'gap=1 mm'", "gap", "1 mm", "1 mm:2 mm:5")
+    "change --set 'gap=1 mm:2 mm:5'"
+    """
+    option = rf"--set '?([\w.\[\]]*{re.escape(f'{name}={first}')})(?:'|(?=\s|,|$))"
+    for item in re.finditer(option, hint or ""):
+        quoted = shlex.quote(item[1].replace(f"{name}={first}", f"{name}={text}"))
+        hint = str(hint).replace(item[0], f"--set {quoted}", 1)
+    return hint
 
 
 @contextmanager
@@ -335,11 +363,13 @@ def _propose_accepted_range(
                 continue
 
             def is_accepted(word: str, name: str = name) -> bool:
-                """Return whether the scene accepts a value of the rejected key."""
-                with suppress(UsageError), warnings.catch_warnings(action="ignore"):
-                    load({name: word})
-                    return True
-                return False
+                """Return whether the scene loads without an error about this value of the key."""
+                try:
+                    with collect_warnings():
+                        load({name: word})
+                except UsageError as error:
+                    return not _concerns_key(error, name)
+                return True
 
             proposal = _find_accepted_range(text, is_accepted)
             if proposal is not None:
@@ -531,14 +561,16 @@ def _require_effective_options(plan: SweepPoints, asked: Mapping[str, Any]) -> N
                 expected="a range normal(MEAN,DEVIATION,POINTS) or uniform(LOW,HIGH,POINTS)",
                 hint=f"leave out --{name}",
             )
-    if asked.get("zipped") and len(plan.keys) - max(0, len(plan.random) - 1) < 2:
+    if asked.get("zipped") and len(plan.keys) == 1:
         raise UsageError(
-            "the option has no effect, because all swept keys already vary together",
+            "the option has no effect, because only one key is swept",
             where="--zip",
-            got=f"{'random values of' if plan.random else 'only one key:'} {keys}",
+            got=f"only one key: {keys}",
             expected="ranges of two or more keys",
             hint="leave out --zip",
         )
+    if asked.get("zipped") and len(plan.random) == len(plan.keys):
+        warn_user(f"--zip has no effect: the random values of {keys} always vary together")
 
 
 def _find_study(name: str) -> _SweepFile | None:
@@ -585,50 +617,85 @@ def run_points(
     """
     ends = chain.from_iterable(map(list_subcircuit_parameters, definition.plan.list_end_points()))
     if changed := [*definition.job.parameters, *ends]:
-        _, deck = build_sweep_point(definition.job, definition.plan.values(0))
-        with_parameters(deck, changed)
+        with collect_warnings():  # the points collect the same warnings
+            build, deck = build_sweep_point(definition.job, definition.plan.values(0))
+        with_parameters(deck, resolve_parameters(build, deck, tuple(changed)))
     again: list[int] = []
     known = False
-    for index, outcome in _complete_points(definition, points, workers):
-        if outcome.interrupted:
-            again.append(index)
-        else:
-            yield index, outcome  # the point is stored even if a column does not exist
+
+    def require_known_columns(outcome: PointResult) -> None:
+        """Raise an error if the first successful point has no value for a column."""
+        nonlocal known
         if outcome.failure is None and not known:
             require_columns(outcome, definition.metrics, definition.scene.name)
             known = True
+
+    for index, outcome in _complete_points(definition, points, workers, require_known_columns):
+        if outcome.interrupted:
+            again.append(index)
+        else:
+            yield index, outcome
     if again:
-        yield from _complete_points(definition, again, workers, at_once=1)
+        yield from _complete_points(definition, again, workers, require_known_columns, at_once=1)
 
 
 def _complete_points(
-    definition: Sweep, points: Iterable[int], workers: Workers, at_once: int | None = None
+    definition: Sweep,
+    points: Iterable[int],
+    workers: Workers,
+    require: Callable[[PointResult], None],
+    at_once: int | None = None,
 ) -> Iterator[tuple[int, PointResult]]:
     """Complete all sweep points; yield each point and result as soon as its run ends.
 
-    Each worker runs one point at a time.
+    Each worker runs one point at a time. The function ``require`` raises an error if a result shows
+    that the sweep cannot succeed. After an error or Ctrl-C, no further point begins. The points
+    that are already running are completed and yielded, and then the error is raised. A second
+    Ctrl-C ends the sweep at once.
 
     If a worker process crashes or is killed, the result of all running points is ``LOST_POINT``,
     and the workers are started again.
     """
     left, pending = iter(points), dict[Future[PointResult], int]()
+    fault: BaseException | None = None
     with ExitStack() as opened:
         executor, count = opened.enter_context(workers())
         while True:
-            for index in islice(left, max(0, (at_once or 2 * count + 1) - len(pending))):
-                values = definition.plan.values(index)
-                pending[_submit_point(executor.submit, definition.job, values)] = index
+            if fault is None:
+                for index in islice(left, max(0, (at_once or 2 * count + 1) - len(pending))):
+                    values = definition.plan.values(index)
+                    pending[_submit_point(executor.submit, definition.job, values)] = index
+            else:
+                pending = {future: k for future, k in pending.items() if not future.cancel()}
             if not pending:
-                return
-            results = {
-                f: _collect_result(f) for f in wait(pending, return_when=FIRST_COMPLETED).done
-            }
+                break
+            try:
+                ended = wait(pending, return_when=FIRST_COMPLETED).done
+            except (KeyboardInterrupt, SystemExit) as signal_error:
+                if fault is not None:
+                    raise
+                fault = signal_error
+                continue
+            results = dict[Future[PointResult], PointResult]()
+            for future in ended:
+                try:
+                    results[future] = _collect_result(future)
+                except Exception as error:
+                    fault = fault or error
+                    del pending[future]
             if LOST_POINT in results.values():
                 results |= {f: LOST_POINT for f in pending if f not in results}
                 opened.close()
-                executor, count = opened.enter_context(workers())
+                if fault is None:
+                    executor, count = opened.enter_context(workers())
             for future, outcome in results.items():
-                yield pending.pop(future), outcome
+                yield pending.pop(future), outcome  # stored even if a column does not exist
+                try:
+                    require(outcome)
+                except UsageError as error:
+                    fault = fault or error
+    if fault is not None:
+        raise fault
 
 
 def _submit_point(
@@ -731,9 +798,28 @@ def run_sweep(
                 left = timedelta(seconds=round((len(missing) - count) / rate))
                 text = f"{text}, {rate:.3g}/s, {left} left"
             progress("sweep", count / len(missing), text)
+        _warn_of_points(definition, [rows.outcomes[index] for index in sorted(rows.outcomes)])
         progress("report", None, "table, figures and page")
         summary = _write_sweep_files(definition, rows, out, table_format)
     return {**summary, "resumed": len(done), "wall_s": time.monotonic() - start}
+
+
+def _warn_of_points(definition: Sweep, outcomes: Iterable[PointResult]) -> None:
+    """Issue each warning of the points once, with the number of points.
+
+    Of warnings that differ only in numbers, the first one is issued. Warnings about the scene of
+    the first point are omitted, because :func:`make_sweep` has issued these warnings.
+    """
+    known = {_NUMBER.sub("", text) for text in definition.warnings}
+    texts = dict[str, list[str]]()
+    for outcome in outcomes:
+        for text in outcome.warnings:
+            texts.setdefault(_NUMBER.sub("", text), []).append(text)
+    for pattern, group in texts.items():
+        if pattern not in known:
+            example = ", with different numbers, for example" if len(set(group)) > 1 else ""
+            count = f"{len(group)} of {definition.plan.size} points"
+            warn_user(f"{count}{example}: {group[0]}")
 
 
 def get_table_file_name(table_format: str) -> str:
