@@ -7,6 +7,7 @@ that several modules use for different objects has an alias here, as ``NAME=ALIA
 from importlib import import_module
 
 NAMES_BY_MODULE = {
+    "kc2spice.core.curve_distance": "compute_curve_distance",
     "kc2spice": "api pyspice",
     "kc2spice.bodies.contact_pressure": (
         "PressureBasis TransverselyIsotropicSphere choose_pressure_basis "
@@ -81,7 +82,9 @@ NAMES_BY_MODULE = {
     ),
     "kc2spice.core.sound_level": "SoundLevel",
     "kc2spice.core.spectrum": "find_energy_frequency find_waveform_frequency",
+    "kc2spice.core.toml_text": "format_toml",
     "kc2spice.core.units": "parse_unit",
+    "kc2spice.core.user_warnings": "collect_warnings",
     "kc2spice.core.untrusted_files": (
         "MAX_TEXT_BYTES call_in_child explain_unsafe_name make_plain_name parse_toml read_bounded"
     ),
@@ -133,7 +136,7 @@ NAMES_BY_MODULE = {
     "kc2spice.netlist.lint": "find_wiring_mistakes require_valid_wiring",
     "kc2spice.netlist.nodal": "NodalCircuit",
     "kc2spice.netlist.scale_factors": (
-        "format_with_prefix read_parameter read_value write_numbers_with_prefixes"
+        "format_with_prefix read_parameter read_user_number read_value write_numbers_with_prefixes"
     ),
     "kc2spice.netlist.printers": "dialect_registry",
     "kc2spice.netlist.printers.dialect_registry": (
@@ -223,8 +226,8 @@ NAMES_BY_MODULE = {
         "assemble_oscillators fit_relaxing_oscillator make_viscous_oscillator"
     ),
     "kc2spice.rom.modal_models": (
-        "Resonators compute_resonators fit_foster_network make_highest_modes_massless "
-        "simulate_resonators tabulate_modes"
+        "Resonators add_dielectric_loss compute_resonators fit_foster_network "
+        "make_highest_modes_massless simulate_resonators tabulate_modes"
     ),
     "kc2spice.rom.multiport": "fit_multiport",
     "kc2spice.rom.one_port_network": "CircuitBranch ParallelBranches recognise_parallel_branches",
@@ -288,6 +291,7 @@ NAMES_BY_MODULE = {
     ),
     "kc2spice.workflow.decks": "make_deck prepare_deck",
     "kc2spice.workflow.export": "export_scene",
+    "kc2spice.workflow.fit_keys": "format_calibrated_ranges",
     "kc2spice.workflow.larger_reduced_model_orders": "suggest_keys",
     "kc2spice.workflow.method_comparison": "compare_methods",
     "kc2spice.workflow.misfit": "compute_rms_misfit estimate_covariance find_likely_cause",

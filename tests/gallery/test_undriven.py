@@ -34,7 +34,9 @@ def test_its_impedance_is_that_of_the_same_scene_with_a_source(tmp_path):
     assert bare.metrics == given.metrics
     assert len(bare.metrics["impedance_ohm"]) == len(bare.metrics["frequency_hz"]) >= 41
     np.testing.assert_array_equal(bare.waves["beam_drive.i"], given.waves["drive.i"])
-    assert json.loads((tmp_path / "bare" / "result.json").read_text())["metrics"]
+    record = json.loads((tmp_path / "bare" / "result.json").read_text())
+    assert list(record["curves"]) == ["frequency_hz", "impedance_ohm"]
+    assert not record["metrics"].keys() & record["curves"].keys()
 
 
 def test_a_cathode_that_is_grounded_by_name_and_a_part_of_the_drives_name():

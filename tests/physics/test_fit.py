@@ -8,7 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.special import jv
-from support import MeasuredAdmittance, app, body_fit, compute_modal_transfer
+from support import (
+    MeasuredAdmittance,
+    app,
+    body_fit,
+    compute_modal_transfer,
+    format_calibrated_ranges,
+)
 
 import kc2spice as kc
 
@@ -232,6 +238,24 @@ def test_the_command_writes_values_for_set_and_a_page(tmp_path, capsys, monkeypa
     half = max(2 * sigma, 1.1e-3 * value)
     assert key == "layers[0].thickness"
     assert ends == pytest.approx((value - half, value + half), rel=1e-9)
+
+
+def test_ranges_of_a_fit_of_many_keys_are_a_valid_file_for_set(tmp_path):
+    """A netlist has at most four parameters: the least certain of six keys are chosen."""
+    keys = ["damping.quality", "layers[0].thickness", "layers[1].thickness",
+            "layers[0].diameter", "layers[1].diameter", "layers[1].electrodes"]  # fmt: skip
+    values = [50.0, 0.1e-3, 0.12e-3, 20e-3, 14e-3, 12.8e-3]
+    errors = [1e-2, 1e-4, 3e-2, 2e-3, 3e-3, 2e-4]  # relative
+    parameters = {
+        key: {"value": value, "sigma": error * value, "low": 0.5 * value, "high": 2 * value}
+        for key, value, error in zip(keys, values, errors, strict=True)
+    }
+    path = tmp_path / "box.toml"
+    path.write_text(format_calibrated_ranges("disc", parameters))
+    loaded = kc.load_scene("buzzer_7bb_20_3", [str(path)])
+    ranges = loaded.get_part("disc").keys.rom.parameters
+    assert list(ranges) == [keys[0], keys[2], keys[3], keys[4]]
+    assert ranges["damping.quality"] == pytest.approx((49.0, 51.0))
 
 
 @pytest.mark.parametrize(

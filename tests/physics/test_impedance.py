@@ -42,6 +42,8 @@ def test_the_capacitance_is_read_at_a_tenth_of_the_resonance_or_at_1_khz():
     assert analyse_impedance(narrow, circuit(narrow)).capacitance_f == approx(expected, rel=1e-4)
     fast = 100 * f  # the same circuit a hundred times as fast is read at 1 kHz
     assert analyse_impedance(fast, circuit(f)).capacitance_f == approx((C0 + C) / 100, rel=0.02)
+    assert analyse_impedance(f, circuit(f)).capacitance_frequency_hz == approx(at, rel=1e-4)
+    assert analyse_impedance(fast, circuit(f)).capacitance_frequency_hz == 1e3
 
 
 def test_higher_modes_and_losses_do_not_change_the_fitted_resonance():

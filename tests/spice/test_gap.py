@@ -85,6 +85,28 @@ def test_patches_on_different_springs_stay_in_front_of_the_electrode():
         assert found[0][name] == pytest.approx(found[1][name], abs=0.05)
 
 
+def test_patches_on_a_soft_stop_get_advice_that_works():
+    """The dc sweep of the coupled patches fails, and a stiffer stop repairs the scene."""
+
+    def make_scene(stop):
+        tables = loop(a=[f"s{k}.a" for k in range(4)], stop=stop)
+        del tables["spring"]
+        for k in range(4):
+            tables[f"s{k}"] = {"part": "spring", "stiffness": K / 4 * (1 + k / 2)}
+        for k in range(3):
+            pins = {"a": f"s{k}.a", "b": f"s{k + 1}.a"}
+            tables[f"c{k}"] = {"part": "spring", "stiffness": 3 * K, "pins": pins}
+        tables["analysis"] |= {"to": 20.0, "points": 101}
+        return tables
+
+    with pytest.raises(kc.errors.SimulationError, match="Timestep too small") as caught:
+        kc.run(make_scene(100.0))
+    assert "part xplate" in caught.value.got
+    assert "try a stiffer stop for an electrostatic gap" in caught.value.hint
+    assert ".nodeset" not in caught.value.hint
+    kc.run(make_scene(200.0))
+
+
 def plate_on_soft_stop(kind, **timed):
     tables = loop(stop=10.0)
     if kind == "parallel_plate":

@@ -264,6 +264,59 @@ def test_models_that_are_no_heat_are_refused(model, words):
         kc.subcircuit(kc.LinearModel(**model, B=ONE, ports=(kc.Port("top", "thermal"),)), "refused")
 
 
+def test_heat_that_a_flow_transports_becomes_a_model_of_signals(tmp_path):
+    """The advice gives a model with the same response: heat input and temperature are signals."""
+    K = np.array([[2.0, -0.5], [-1.5, 2.0]])
+    file = tmp_path / "flow.npz"
+    np.savez(file, E=np.eye(2), K=K, B=np.array([[1.0], [0.0]]), C=np.array([[1.0, 0.0]]))
+    file.with_suffix(".toml").write_text('[[ports]]\nname = "a"\nkind = "thermal"\ncolumn = 1\n')
+    model = kc.read_model(file)
+    with pytest.raises(kc.errors.UsageError, match="not a passive heat model") as caught:
+        kc.subcircuit(model, "refused")
+    assert 'kind = "input" with its column' in caught.value.hint
+    assert 'kind = "output" with its row' in caught.value.hint
+    file.with_suffix(".toml").write_text(
+        '[[ports]]\nname = "a"\nkind = "input"\ncolumn = 1\n'
+        '[[ports]]\nname = "b"\nkind = "output"\nrow = 1\n'
+    )
+    model = kc.read_model(file)
+    assert model.transfer([0.0])[0, 0, 0].real == pytest.approx(np.linalg.inv(K)[0, 0])
+    part = kc.subcircuit(kc.reduce(model, tolerance=1e-3, band=(0, 1)), "transport")
+    assert part.text.splitlines()[1] == "* use: X1 a b ref transport"
+    header = part.text.partition(".subckt")[0]
+    for text in ("materials", "edge", "depolarisation"):
+        assert text not in header
+
+
+def test_a_thermal_port_with_a_column_and_a_row_is_told_to_delete_the_row(tmp_path):
+    file = tmp_path / "bar.npz"
+    np.savez(file, E=np.eye(2), K=2 * np.eye(2), B=np.eye(2))
+    port = '[[ports]]\nname = "a"\nkind = "thermal"\ncolumn = 1\n'
+    file.with_suffix(".toml").write_text(f"{port}row = 1\n")
+    with pytest.raises(kc.errors.UsageError, match="takes the key `column`") as caught:
+        kc.read_model(file)
+    assert caught.value.hint == "delete the key `row`"
+    file.with_suffix(".toml").write_text(port)
+    assert kc.read_model(file).ports[0].name == "a"
+
+
+def test_a_parameter_unit_with_blanks_becomes_one_word(tmp_path):
+    """Quantities of keys accept the same blank; other texts of several words are rejected."""
+    file = tmp_path / "film.npz"
+    np.savez(file, E=np.eye(2), K=2 * np.eye(2), B=np.eye(2), film=np.eye(2))
+    sidecar = (
+        '[parameters]\nh = {{ default = 10.0, low = 5.0, high = 50.0, unit = "{}" }}\n'
+        '[[terms]]\nmatrix = "K"\nname = "film"\nfactor = "h"\n'
+        '[[ports]]\nname = "a"\nkind = "thermal"\ncolumn = 1\n'
+    )
+    for typed, unit in (("W/(m2 K)", "W/(m2*K)"), ("W / (m2 K)", "W/(m2*K)"), ("N m", "N*m")):
+        file.with_suffix(".toml").write_text(sidecar.format(typed))
+        assert kc.read_affine_model(file).parameters[0].unit == unit
+    file.with_suffix(".toml").write_text(sidecar.format("per metre"))
+    with pytest.raises(kc.errors.UsageError, match="not a unit"):
+        kc.read_affine_model(file)
+
+
 def test_heat_and_electrical_ports_do_not_mix():
     ports = (kc.Port("top", "thermal"), kc.Port("anode", "electrical"))
     with pytest.raises(kc.errors.UsageError, match="apply only to heat models"):

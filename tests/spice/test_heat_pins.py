@@ -13,6 +13,7 @@ from support import (
     SimulationError,
     UsageError,
     find_resistance_coefficient,
+    format_summary,
     list_dialect_names,
     multiply_trees,
 )
@@ -33,6 +34,43 @@ SUPPLY = {"part": "source", "sine": {"amplitude": "20 V", "frequency": "50 Hz"}}
 def scene_of(parts, name="warm", **tables):
     """A scene of parts whose heat flows into ``mass.a``, beside a mass and a path of heat."""
     return {"name": name, "gravity": 0.0} | SINK | parts | tables
+
+
+def test_an_ac_analysis_advises_how_to_compute_the_temperature():
+    """The recipe of the warning gives ``R_th V^2 / (2 R)`` for the amplitude V."""
+    parts = {
+        "load": {
+            "part": "resistor", "resistance": "40 Ohm",
+            "pins": {"a": "drive.out", "heat": "mass.a"},
+        },
+        "drive": {"part": "source", "ac": "2 V"},
+    }  # fmt: skip
+    probes = {
+        "rise_k": {"of": "load.temperature"}, "out_w": {"of": "load.heat_flow"},
+        "loss_w": {"of": "load.power", "take": "mean"},
+    }  # fmt: skip
+    analysis = {"type": "ac", "start": "10 Hz", "stop": "1 kHz"}
+    with pytest.warns(UserWarning, match=r"probes\.(rise_k|out_w): .* is not computed") as found:
+        swept = kc.run(scene_of(parts, probes=probes, analysis=analysis))
+    assert all("read the mean power from a probe of load.power" in str(one) for one in found.list)
+    assert swept.metrics["rise_k"] is None
+    assert swept.metrics["out_w"] is None
+    summary = dict(format_summary(swept.record).rows)
+    assert "rise" not in summary
+    assert "is not computed" in summary["WARNING"]
+    source = {"part": "source", "kind": "heat_flow", "dc": swept.metrics["loss_w"],
+              "pins": {"out": "mass.a"}}  # fmt: skip
+    probes = {"rise_k": {"of": "mass.temperature", "take": "final"}}
+    steady = kc.run(scene_of({"heat": source}, probes=probes, analysis={"type": "op"}))
+    assert steady.metrics["rise_k"] == pytest.approx(50 * 2**2 / (2 * 40), rel=1e-6)
+
+
+def test_a_thermal_circuit_with_an_ac_source_keeps_its_temperatures():
+    source = {"part": "source", "kind": "heat_flow", "ac": "2 W", "pins": {"out": "mass.a"}}
+    probes = {"rise_k": {"of": "mass.temperature"}}
+    analysis = {"type": "ac", "start": "1 mHz", "stop": "1 Hz"}
+    result = kc.run(scene_of({"heat": source}, probes=probes, analysis=analysis))
+    assert result.metrics["rise_k"] == pytest.approx(2 * 50, rel=1e-3)
 
 
 def assert_balanced(result, name):

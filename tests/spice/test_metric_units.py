@@ -137,6 +137,24 @@ def test_a_damping_is_no_length(tmp_path):
     assert rows["gap damping"] == f"{result.metrics['gap_damping_n_s_m']:.4g} N·s/m"
 
 
+@pytest.mark.parametrize("part", ["bvd", "disc"])
+def test_resonances_behind_a_coil_are_those_of_the_part_without_its_circuit(part):
+    """``resonance_hz`` of the part does not depend on the coil, and the summary says so."""
+    keys = {"bvd": {"c0": "1 nF", "rm": "50 Ohm", "lm": "10 mH", "cm": "0.3 nF"},
+            "disc": {"layers": [{"material": "PZT-8", "diameter": "25 mm", "thickness": "3 mm"}],
+                     "damping": {"quality": 500}}}[part]  # fmt: skip
+    analysis = {"type": "ac", "start": "60 kHz", "stop": "150 kHz", "points": 200}
+    scene = {"name": "s", "drive": {"part": "source", "ac": "1 V"}, "analysis": analysis}
+    coil = {"part": "inductor", "inductance": "2.3 mH",
+            "pins": {"a": "drive.out", "b": "x.anode"}}  # fmt: skip
+    bare = kc.run(scene | {"x": {"part": part, **keys, "pins": {"anode": "drive.out"}}})
+    tuned = kc.run(scene | {"x": {"part": part, **keys}, "coil": coil})
+    assert tuned.metrics["resonance_hz"] == pytest.approx(bare.metrics["resonance_hz"], rel=1e-3)
+    texts = [dict(format_summary(run.record).rows)["series resonance"] for run in (bare, tuned)]
+    assert "circuit" not in texts[0]
+    assert texts[1].endswith(" kHz, of x without its circuit")
+
+
 @dataclass
 class Metrics:
     """The attributes of a run that an error estimate reads."""
@@ -181,6 +199,17 @@ def test_errors_of_a_response_are_relative_to_each_value():
     found = settings_refinement.compute_metric_changes(replace(coarse, is_small_signal=True), fine)
     assert found["low"] == pytest.approx(1.0)
     assert found["still"] < 1e-6
+
+
+def test_a_short_list_is_not_a_curve_over_frequency():
+    """A list of three resonances has no values between its entries."""
+    waves = SimpleNamespace(scale=np.linspace(1.0, 2.0, 100))
+    coarse, fine = (
+        replace(run, is_small_signal=True, waves=waves)
+        for run in runs({"modes": [100.0, 180.0, 300.0]}, {"modes": [100.0, 200.0, 300.0]}, {})
+    )
+    found = settings_refinement.compute_metric_changes(coarse, fine)
+    assert found["modes"] == pytest.approx(20.0 / 300.0)
 
 
 def test_bench_and_error_budget_state_the_same_error():

@@ -33,6 +33,39 @@ def test_ngspice_needs_the_expected_number_of_time_points(damping, tmp_path):
     assert 0.75 < expected.points / taken < 1.35
 
 
+DISC = {
+    "name": "warm",
+    "disc": {
+        "part": "disc", "pins": {"anode": "drive.out", "heat": "air.a"},
+        "damping": {"quality": 500},
+        "layers": [{"material": "PZT-8", "diameter": "25 mm", "thickness": "3 mm"}],
+    },
+    "air": {"part": "thermal_resistor", "resistance": "80 K/W"},
+    "drive": {"part": "source", "sine": {"amplitude": "2 V", "frequency": "90 kHz"}},
+    "analysis": {"type": "transient", "stop": "20 ms"},
+}  # fmt: skip
+
+
+def test_a_long_transient_of_self_heating_is_advised_to_compute_the_mean_power():
+    build, deck = prepare_deck(load_scene(DISC), StageTimer())
+    with pytest.warns(UserWarning, match="this run needs at least") as found:
+        ringing_time.warn_of_long_run(build, deck)
+    text = str(found.list[-1].message)
+    assert "read the mean power from a probe of disc.power in an `ac` analysis" in text
+    cold = {name: table for name, table in DISC.items() if name != "air"}
+    cold["disc"] = DISC["disc"] | {"pins": {"anode": "drive.out"}}
+    # the pin ``heat`` of this part receives heat
+    silicon = {"material": "silicon", "thickness": "0.3 mm", "area": "25 mm2"}
+    cold["board"] = {"part": "heat_body", "layers": [silicon], "sources": {"heat": "top"},
+                     "isothermal": {"case": "bottom"},
+                     "pins": {"heat": "w.out", "case": "gnd"}}  # fmt: skip
+    cold["w"] = {"part": "source", "kind": "heat_flow", "dc": "0.1 W"}
+    build, deck = prepare_deck(load_scene(cold), StageTimer())
+    with pytest.warns(UserWarning, match="this run needs at least") as found:
+        ringing_time.warn_of_long_run(build, deck)
+    assert "mean power" not in str(found.list[-1].message)
+
+
 def test_a_long_ringing_is_announced_before_the_run(monkeypatch):
     build = device.built(load_scene(KICK), chip(0.0))
     monkeypatch.setattr(ringing_time, "MANY_POINTS", 2e3)

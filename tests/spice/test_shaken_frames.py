@@ -162,7 +162,7 @@ REFUSED = {
     "a body without a base": (
         {"other": beam()["beam"] | {"pins": {"tip": "beam.tip"}}},
         "inertia",
-        'kind "base"',
+        "connect other.base to the same source",
     ),
     "bodies on two shakers": (
         {

@@ -369,7 +369,7 @@ def test_values_of_a_sweep(cli, values, advice):
         ('part = "resistor"', 'part = "R"', 'write  part = "resistor"'),
         ('{ a = "battery.out" }', '{ p = "battery.out" }', "write a in place of p"),
         ('dc = "10 V"', 'pulse = { v1 = 0, high = 5, width = "1 ms" }', "write low in place of v1"),
-        ("[battery]", "temperature = 27\n[battery]", "delete temperature"),
+        ("[battery]", "temperature = 27\n[battery]", "delete the key `temperature`"),
     ],
 )
 def test_words_of_spice_in_a_scene(cli, line, otherwise, advice):

@@ -14,6 +14,7 @@ from support import (
     LinearModel,
     Port,
     UsageError,
+    collect_warnings,
     convert_quantity,
     did_you_mean,
     parse_toml,
@@ -277,6 +278,37 @@ def test_a_mistake_in_a_netlist(cli, change, head, advice):
     assert advice in found["next"]
 
 
+def test_a_deck_without_a_subcircuit_becomes_a_part(cli):
+    """The first error states all changes: card, end and key of the scene."""
+    deck = "low pass\nR1 in out 1k\nR2 out ref 1k\n.op\n.end\n"
+    Path("amp.lib").write_text(deck)
+    Path("own.toml").write_text(AMPLIFIED)
+    found = rows(cli("run", "own.toml").stderr)["next"]
+    assert (
+        ".subckt NAME NODE1 NODE2 ref  and  .ends, without title, analysis and .end lines" in found
+    )
+    assert found.endswith('write  subckt = "NAME"  in the scene')
+    Path("amp.lib").write_text(".subckt NAME in out ref\nR1 in out 1k\nR2 out ref 1k\n.ends\n")
+    Path("own.toml").write_text(AMPLIFIED.replace('subckt = "amp"', 'subckt = "NAME"'))
+    assert cli("run", "own.toml").exit_code == 0
+
+
+@pytest.mark.parametrize("words", [(), ("--set", "amp.parameters.RL=2000")])
+def test_parameters_of_a_netlist_that_differ_in_letter_case_only(cli, words):
+    """SPICE ignores letter case, so one of the two values would have no effect."""
+    Path("amp.lib").write_text(AMPLIFIER.replace("ref\n", "ref RL=1k\n", 1))
+    values = "{ rl = 1e3 }" if words else "{ rl = 1e3, RL = 2e3 }"
+    subckt = 'subckt = "amp"'
+    assert subckt in AMPLIFIED
+    Path("own.toml").write_text(AMPLIFIED.replace(subckt, f"{subckt}\nparameters = {values}"))
+    found = rows(cli("run", "own.toml", *words).stderr)
+    assert "the names of two parameters differ in letter case only" in found["head"]
+    assert found["got"] == "rl and RL"
+    assert found["next"] == "delete rl or RL; to override rl, write rl in place of RL"
+    Path("own.toml").write_text(AMPLIFIED.replace(subckt, f"{subckt}\nparameters = {{ rl = 2e3 }}"))
+    assert cli("run", "own.toml").exit_code == 0
+
+
 @pytest.mark.parametrize("card", ["D1 out ref MAKER", "Q1 out in ref MAKER"])
 def test_a_missing_model_of_a_manufacturer(cli, card):
     """A default model would run with another characteristic, so the advice contains none."""
@@ -353,7 +385,8 @@ def test_units_outside_of_the_si_are_converted(typed, unit, advice):
          "write  --set 'analysis.start=20 Hz'"),
         ("sounder_in_housing", "listener.angle=120", "behind the baffle",
          "lower the key `angle` to 90"),
-        ("sounder_in_housing", "hole.area=7 mm2", "the duct has two sizes", "delete area"),
+        ("sounder_in_housing", "hole.area=7 mm2", "the duct has two sizes",
+         "leave out --set 'hole.area=7 mm2'"),
         ("gap_biased", "gap.travel=9 um", "behind the fixed electrode",
          "lower travel below 1e-06 m"),
         ("gap_biased", "gap.side=over", "not one of the choices", 'write  side = "above"'),
@@ -413,6 +446,35 @@ def test_keys_of_the_analysis_at_the_top_of_a_scene(cli):
     Path("own.toml").write_text('analysis = "op"\n' + text)
     found = rows(cli("run", "own.toml").stderr)
     assert found["next"] == 'write  [analysis]  and below it  type = "op"'
+
+
+@pytest.mark.parametrize(
+    ("typed", "moved"),
+    [
+        ("r.error_budget=0.02", "error_budget=0.02"),
+        ("analysis.error_budget=0.02", "error_budget=0.02"),
+        ("r.checks.energy=off", """'checks={ energy = "off" }'"""),
+        ("r.gravity=0", "gravity=0"),
+    ],
+)
+def test_a_key_of_the_scene_below_a_table(cli, typed, moved):
+    text = '[r]\npart = "resistor"\nresistance = 1\n[v]\npart = "source"\ndc = 1\n'
+    text += 'pins = { out = "r.a" }\n[analysis]\ntype = "op"\n'
+    Path("own.toml").write_text(text)
+    found = rows(cli("run", "own.toml", "--set", typed).stderr)["next"]
+    assert found.startswith(f"move the key: write  --set {moved}  in place of --set ")
+    done = cli("run", "own.toml", *shlex.split(found.partition("write ")[2].partition(" in ")[0]))
+    assert done.exit_code == 0, done.stderr
+    holder, _, key = typed.partition("=")[0].partition(".")
+    if "." not in key:
+        line = f"{key} = {typed.partition('=')[2]}\n"
+        Path("own.toml").write_text(text.replace(f"[{holder}]\n", f"[{holder}]\n{line}"))
+        found = rows(cli("run", "own.toml").stderr)["next"]
+        assert found == (
+            f"move the key: write  {line.strip()}  in the scene file above its first table"
+        )
+        Path("own.toml").write_text(line + text)
+        assert cli("run", "own.toml").exit_code == 0
 
 
 def test_a_missing_mesh_file_and_an_unknown_unit(cli):
@@ -663,11 +725,12 @@ def test_a_pin_that_a_body_has_only_if_the_scene_joins_it():
     }
     error = fails(kc.load_scene, tables)
     assert error.expected.startswith("a displacement pin: disc.centre")
-    assert error.hint == 'add  pins = { a = "disc.centre" }  to [tip]'
+    assert error.hint == "add  'pins': {'a': 'disc.centre'}  to the dict tip"
     kc.load_scene(tables | {"tip": tables["tip"] | {"pins": {"a": "disc.centre"}}})
     piston = {"part": "radiation", "radius": "5 mm"}
     joined = tables | {"air": piston, "tip": tables["tip"] | {"pins": {"a": "disc.centre"}}}
-    assert fails(kc.load_scene, joined).hint == 'add  pins = { face = "disc.front_face" }  to [air]'
+    hint = fails(kc.load_scene, joined).hint
+    assert hint == "add  'pins': {'face': 'disc.front_face'}  to the dict air"
     wrong = joined | {"air": piston | {"pins": {"face": "tip.a"}}}
     assert fails(kc.load_scene, wrong).hint == 'write  face = "disc.front_face"'
     kc.load_scene(joined | {"air": piston | {"pins": {"face": "disc.front_face"}}})
@@ -814,3 +877,135 @@ def test_a_level_in_the_unit_of_another_quantity_is_refused(level, got, hint):
 def test_the_advice_for_a_plain_number_never_drops_a_unit():
     """A key without a unit: ``write -1.2`` would turn micrometres into metres."""
     assert fails(convert_quantity, "-1.2 um", "").hint.startswith("write a plain number")
+
+
+# --- changes of keys in the form in which the user typed them -------------------------------------
+
+
+def test_a_range_of_the_wrong_sign_is_corrected_beside_another_invalid_range(cli):
+    """The error of the other range does not count as a rejection of the corrected range."""
+    other = ("--set", "analysis.stop=1:2:3")
+    found = rows(
+        cli("sweep", "impact", *other, "--set", "impact.velocity=1:2:3", "--dry-run").stderr
+    )
+    words = shlex.split(found["next"])
+    assert words == ["write", "--set", "impact.velocity=-1:-2:3"]
+    assert cli("sweep", "impact", *words[1:], "--dry-run").exit_code == 0
+    next_error = rows(cli("sweep", "impact", *other, *words[1:], "--dry-run").stderr)
+    assert "impact.velocity" not in next_error["head"]
+
+
+def test_an_override_in_another_table_is_named_as_the_cause(cli):
+    """The sphere of 5 mm is larger than the hole of the ring, whose size the scene states."""
+    typed = ("--set", "gravity=9.8", "--set", "sphere.radius=5 mm")
+    found = rows(cli("explain", "kick_and_catch", *typed).stderr)
+    assert "catch.ring.inner" in found["head"]
+    assert found["next"] == "change --set 'sphere.radius=5 mm', or raise inner above 0.005 m"
+    error = fails(kc.load_scene, "kick_and_catch", {"sphere.radius": "5 mm"})
+    assert error.hint.startswith("change 'sphere.radius=5 mm' in the overrides, or raise inner")
+    kc.load_scene("kick_and_catch", {"sphere.radius": "1.1 mm"})
+
+
+def test_the_search_for_the_cause_issues_no_warnings():
+    """Without the override of the radius, the keys of `solver` would have no effect."""
+    overrides = {"sphere.radius": "5 mm", "analysis": {"type": "ac", "stop": "1 kHz"}}
+    with collect_warnings() as texts:
+        fails(kc.load_scene, "kick_and_catch", overrides)
+    assert not texts
+
+
+def test_an_error_that_no_override_causes_names_no_override(cli):
+    Path("divider.toml").write_text(DIVIDER.replace('"1 kOhm"', '"1 kg"', 1))
+    found = rows(cli("explain", "divider.toml", "--set", "title=a", "--set", "gravity=0").stderr)
+    assert "--set" not in found.get("next", "")
+
+
+def test_a_missing_amplitude_is_added_as_an_override(cli):
+    Path("divider.toml").write_text(DIVIDER)
+    typed = ("--set", 'analysis={type="ac", stop="1 kHz"}')
+    hint = rows(cli("explain", "divider.toml", *typed).stderr)["next"]
+    option = shlex.split(hint[hint.index("--set", 1) :].rpartition("add  ")[2] or hint)
+    assert cli("explain", "divider.toml", *typed, *option).exit_code == 0
+
+
+def test_the_unit_of_another_quantity_proposes_the_kind_of_the_source(cli):
+    heat = (
+        '[drive]\npart = "source"\ndc = "60 K"\npins = { out = "wall.a" }\n[wall]\n'
+        'part = "thermal_resistor"\nresistance = "1 K/W"\n[analysis]\ntype = "op"\n'
+    )
+    Path("heat.toml").write_text(heat)
+    found = rows(cli("explain", "heat.toml").stderr)
+    assert found["next"] == 'add  kind = "temperature"  to [drive]'
+    Path("heat.toml").write_text(heat.replace("[drive]", '[drive]\nkind = "temperature"'))
+    assert cli("explain", "heat.toml").exit_code == 0
+    Path("heat.toml").write_text(heat.replace("60 K", "60 V"))
+    words = shlex.split(rows(cli("explain", "heat.toml", "--set", "drive.dc=60 K").stderr)["next"])
+    assert words == ["add", "--set", "drive.kind=temperature"]
+    assert cli("explain", "heat.toml", "--set", "drive.dc=60 K", *words[1:]).exit_code == 0
+    error = fails(kc.load_scene, parse_toml(heat))
+    assert error.hint == "add  'kind': 'temperature'  to the dict drive"
+    row = fails(kc.load_scene, {"f": {"part": "source", "pwl": [[0, "0 N"], [1, "1 N"]]}})
+    assert "force" in row.hint
+
+
+@pytest.mark.parametrize("kind", ["force", "voltage"])
+def test_a_stated_kind_of_a_source_is_not_changed(kind):
+    keys = {"part": "source", "kind": kind, "dc": "60 K"}
+    assert fails(kc.load_scene, {"f": keys}).hint.startswith('write  "60 ')
+
+
+@pytest.mark.parametrize(
+    ("scene", "key", "values"),
+    [("divider.toml", "load.resistance", [1000, 2000]),
+     ("divider.toml", "load.resistance", ["1 kOhm", "2 kOhm"]),
+     ("divider.toml", "battery.dc", [1.5, 2]),
+     ("impact", "rom.order", [10, 20])],
+)  # fmt: skip
+def test_a_list_for_one_value_proposes_a_sweep(cli, scene, key, values):
+    Path("divider.toml").write_text(DIVIDER)
+    typed = f"{key}={str(values).replace(chr(39), chr(34))}"
+    found = rows(cli("explain", scene, "--set", typed).stderr)
+    assert "accepts one value" in found["head"]
+    command = shlex.split(found["next"].partition(":  ")[2])
+    assert command[:3] == ["kc2spice", "sweep", scene]
+    done = cli(*command[1:], "--dry-run")
+    assert done.exit_code == 0
+    assert "2 points" in done.stdout + done.stderr
+    error = fails(kc.load_scene, scene, {key: values})
+    assert error.hint.endswith(f"  kc.sweep({scene!r}, {{{key!r}: {values!r}}})")
+
+
+def test_a_list_in_a_scene_file_proposes_a_sweep(cli):
+    Path("divider.toml").write_text(
+        DIVIDER.replace('resistance = "1 kOhm"', "resistance = [1, 2]", 1)
+    )
+    found = rows(cli("explain", "divider.toml").stderr)
+    assert found["next"].endswith("  kc2spice sweep divider.toml --set load.resistance=1,2")
+    error = fails(kc.load_scene, parse_toml(Path("divider.toml").read_text()))
+    assert error.hint.endswith("  kc.sweep(SCENE, {'load.resistance': [1, 2]})")
+
+
+def test_an_override_to_delete_is_named_in_the_form_of_the_user(cli):
+    error = fails(kc.load_scene, "buzzer_square", {"solver.max_step": "1 s"})
+    assert error.hint == "remove 'solver.max_step=1 s' from the overrides"
+    Path("over.toml").write_text('[solver]\nmax_step = "1 s"\n')
+    found = rows(cli("explain", "buzzer_square", "--set", "over.toml").stderr)
+    assert found["next"] == "delete the key `solver.max_step` of over.toml"
+
+
+@pytest.mark.parametrize("text", ['[analysis]\ntype = "op"\n', 'analysis.type = "op"\n'])
+def test_a_type_of_analysis_in_an_override_file_moves_to_an_option(cli, text):
+    """An option after the file sets the whole table, whatever form the file has."""
+    Path("over.toml").write_text(text)
+    typed = ("explain", "stack_p882", "--set", "over.toml")
+    found = rows(cli(*typed).stderr)
+    deletion, _, addition = found["next"].partition(", and add  ")
+    assert deletion == "delete the key `analysis.type` of over.toml"
+    Path("over.toml").write_text("")
+    assert cli(*typed, *shlex.split(addition)).exit_code == 0
+
+
+def test_an_unknown_key_in_python_overrides_is_replaced():
+    error = fails(kc.load_scene, "impact", {"order": 10})
+    assert error.hint == "write  'rom.order': 10  in the overrides  in place of 'order=10'"
+    kc.load_scene("impact", {"rom.order": 10})

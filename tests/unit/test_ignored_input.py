@@ -1,6 +1,7 @@
 """Sweeps, fits, exports and decks: no input is ignored, and the advice of errors is followed."""
 
 import csv
+import json
 import shlex
 from pathlib import Path
 
@@ -331,3 +332,49 @@ def test_a_range_with_units_gives_the_same_fit_as_si_numbers(tmp_path):
     for limits in ("5 nF:20 nF", "5e-9:20e-9"):
         fitted = kc.fit(scene, "load", path, [f"capacitance={limits}"])
         assert fitted["values"]["load.capacitance"] == pytest.approx(10e-9, rel=1e-3)
+
+
+# --- warnings in JSON output ----------------------------------------------------------------------
+
+RATED = """name = "rated"
+[drive]
+part = "source"
+dc = "1 V"
+[amp]
+part = "netlist"
+file = "amp.lib"
+subckt = "amp"
+pins = { in = "drive.out", out = "load.a" }
+ratings = { out = { high = "2 V" } }
+[load]
+part = "resistor"
+resistance = "1 kOhm"
+[analysis]
+type = "op"
+[probes]
+current = { of = "load.i" }
+"""
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("run", "rated.toml", "--out", "o"),
+        ("export", "rated.toml", "--out", "o"),
+        ("verify", "rated.toml", "--out", "o"),
+        ("explain", "rated.toml"),
+        ("sweep", "rated.toml", "--set", "load.resistance=1,2", "--workers", "1", "--out", "o"),
+        ("reduce", "own.npz", "--out", "o"),
+    ],
+)
+def test_json_output_contains_the_printed_warnings(cli, words):
+    """The matrix H has no meaning, and an operating point is not compared with ratings."""
+    Path("rated.toml").write_text(RATED)
+    Path("amp.lib").write_text(AMPLIFIER)
+    K, B = np.diag([1e6, 4e6, 9e6]), np.ones((3, 1))
+    np.savez("own.npz", M=np.eye(3), E=np.diag([10.0, 20, 30]), K=K, B=B, C=B.T, H=np.eye(3))
+    done = cli(*words, "--json", "--quiet")
+    assert done.exit_code == 0, done.stderr
+    found = json.loads(done.stdout)["warnings"]
+    assert [f"kc2spice: warning: {text}" for text in found] == done.stderr.splitlines()
+    assert any("H of 3 x 3 is not used" in text or "`ratings`" in text for text in found)

@@ -1,5 +1,6 @@
 """Wrong wiring is named, with file and line, before any simulator runs."""
 
+import time
 from dataclasses import replace
 
 import pytest
@@ -185,3 +186,28 @@ def test_a_loop_of_ideal_sources_in_two_instances_is_found():
     )  # fmt: skip
     port = "V2 in 0 ac 1 portnum 1 z0 50\nX1 in 0 divider"
     assert complaints(port, library) == []
+
+
+def test_deeply_nested_instances_are_checked_in_a_short_time():
+    """Each of 30 levels has two instances of the level below: 10^9 instances of the source."""
+    levels = ["* levels\n.subckt level0 a b\nV1 a m 5\nR1 m b 1\nV2 a c 0\nR2 c b 1\n.ends"]
+    for k in range(1, 30):
+        cells = f"X1 a m level{k - 1}\nX2 m b level{k - 1}\nR1 m 0 1k"
+        levels.append(f".subckt level{k} a b\n{cells}\n.ends")
+    levels.append(".subckt divider a b\nX1 a b level29\n.ends")
+    begin = time.monotonic()
+    assert complaints("V1 in 0 1\nX1 in 0 divider", "\n".join(levels)) == []
+    series = (
+        "\n".join(levels).replace("V1 a m 5\nR1 m b 1", "V1 a b 5").replace("V2 a c 0\nR2", "R2")
+    )
+    series = series.replace("R2 c b", "R2 a b")
+    found = complaints("V3 in 0 1\nX1 in 0 divider", series)
+    assert [got for _, _, got in found] == ["a loop of V3 (test.cir:3), V1 (divider.lib:3)"]
+    assert time.monotonic() - begin < 10
+
+
+def test_a_loop_through_ground_inside_a_subcircuit_is_found():
+    library = "* pair\n.subckt divider a b\nV1 a 0 5\nR1 a b 1\n.ends\n"
+    assert [got for _, _, got in complaints("V2 in 0 1\nX1 in 0 divider", library)] == [
+        "a loop of V2 (test.cir:3), V1 (divider.lib:3)"
+    ]

@@ -1235,7 +1235,7 @@ def test_a_deck_without_subcircuits_proposes_to_make_one(cli):
     Path("driver.cir").write_text(f"a driver\n{circuit}.tran 1u 5m\n.end\n")
     found = rows(cli("run", "driver.cir").stderr)
     assert "without .subckt" in found["head"]
-    assert ".subckt driver NODE ref  and  .ends, without title, analysis" in found["next"]
+    assert ".subckt driver NODE1 NODE2 ref  and  .ends, without title, analysis" in found["next"]
     Path("my.toml").write_text(
         '[d]\npart = "netlist"\nfile = "driver.cir"\nsubckt = "driver"\n'
         'pins = { a = "load.a" }\n[load]\npart = "resistor"\nresistance = "1 kOhm"\n'
@@ -1243,7 +1243,7 @@ def test_a_deck_without_subcircuits_proposes_to_make_one(cli):
     )
     found = rows(cli("run", "my.toml").stderr)
     assert "card" not in found["head"]
-    assert ".subckt NAME NODE ref  and  .ends" in found["next"]
+    assert ".subckt NAME NODE1 NODE2 ref  and  .ends" in found["next"]
     Path("driver.cir").write_text(f".subckt driver a ref\n{circuit}.ends\n")
     assert cli("run", "my.toml").exit_code == 0
 
@@ -1277,3 +1277,59 @@ def test_a_fit_prints_the_assumed_unit_and_asks_for_kilohertz(cli):
     assert done.exit_code == 0
     assert "80 points from 4000 to 9000 Hz" in " ".join(done.stdout.split())
     assert "note: " in done.stdout
+
+
+# --- a user's own circuit, and the material of a disc -----------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("pins", "pin", "message", "name"),
+    [
+        ("in out gnd", "gnd", "is node 0, the global ground", "ref"),
+        ("in out ref GND", "GND", "is node 0, the global ground", "vss"),
+        ("in out temper", "temper", "has a reserved name of ngspice", "n_temper"),
+        ("in out 3", "3", "has no valid name", "n_3"),
+    ],
+)
+def test_a_pin_without_a_valid_name_is_located_in_its_file(pins, pin, message, name, tmp_path):
+    """The error names the line of the .subckt card, and the proposed name is accepted."""
+    library = f"* mine\n.subckt mine {pins}\nR1 in out 1k\nR2 out {pin} 1k\n.ends\n"
+    scene = '[own]\npart = "netlist"\nfile = "own.lib"\nsubckt = "mine"\n'
+    scene += 'pins = { in = "s.out", out = "r.a" PINS }\n[s]\npart = "source"\ndc = "1 V"\n'
+    scene += '[r]\npart = "resistor"\nresistance = "1 kOhm"\n'
+    (tmp_path / "own.lib").write_text(library)
+    path = tmp_path / "own.toml"
+    path.write_text(scene.replace("PINS", ""))
+    error = fails(kc.load_scene, path)
+    assert (error.where, error.got) == ("own.lib:2", pin)
+    assert message in error.message
+    assert error.hint == f"rename the node {pin} to {name} in all lines of .subckt mine"
+    (tmp_path / "own.lib").write_text(library.replace(f" {pin}", f" {name}"))
+    others = [item for item in pins.replace(pin, name).split() if item not in ("in", "out", "ref")]
+    joined = "".join(f', {item} = "gnd"' for item in others)
+    path.write_text(scene.replace("PINS", joined))
+    assert kc.load_scene(path).get_net("own", name) == "0"
+
+
+@pytest.mark.parametrize("word", ["base", "from", "material", "name"])
+def test_a_material_with_another_word_for_like_gets_like(word):
+    table = '{{ {} = "PZT-5A", permittivity = {{ eps33 = 2000.0 }} }}'
+    change = "disc.layers[1].material="
+    error = fails(kc.load_scene, "buzzer_7bb_20_6", [change + table.format(word)])
+    assert error.hint == f"write `like` in place of `{word}`"
+    scene = kc.load_scene("buzzer_7bb_20_6", [change + table.format("like")])
+    assert scene.parts["disc"].keys.layers[1].material["permittivity"] == {"eps33": 2000.0}
+
+
+@pytest.mark.parametrize(
+    ("part_type", "origin"),
+    [("netlist", "pins of its `.subckt`"), ("controller", "key `inputs`"),
+     ("heat_body", "keys `isothermal`"), ("listener", "key `sources`")],
+)  # fmt: skip
+def test_pins_that_follow_from_a_file_or_a_key_are_called_pins_of_the_example(
+    part_type, origin, cli
+):
+    text = " ".join(cli("scenes", "--part", part_type).output.split())
+    assert "Pins of the example" in text
+    assert origin in text
+    assert "Pins of the example" not in cli("scenes", "--part", "resistor").output

@@ -1,6 +1,7 @@
 """Several reductions of one model: shared work, error estimates, reconstruction, optimality."""
 
 import json
+import warnings
 from pathlib import Path
 
 import mor_families as families
@@ -17,6 +18,7 @@ from support import (
     app,
     compare_methods,
     factor,
+    read_rom,
     reduce_file,
 )
 from typer.testing import CliRunner
@@ -328,6 +330,95 @@ def test_a_second_order_model_prints_unknowns_and_first_order_states(tmp_path, d
     assert "first-order" in heading
     pod = next(line for line in table if line.startswith("response POD "))
     assert pod.removeprefix("response POD").split()[0] == str(3 * degree)
+
+
+def make_gyroscopic_chain(n=12, spin=40.0):
+    """Matrices of two planes of a supported chain whose disc couples the planes by its spin."""
+    stiffness = 1e4 * (2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1))
+    zero, disc = np.zeros((n, n)), np.zeros((n, n))
+    disc[n // 3, n // 3] = spin
+    K = np.block([[stiffness, zero], [zero, stiffness]])
+    gyroscopic = np.block([[zero, disc], [-disc, zero]])
+    B = np.eye(2 * n)[:, [n // 3, n + n // 3]]
+    return {"M": np.eye(2 * n), "E": 1e-4 * K + gyroscopic, "K": K, "B": B}
+
+
+@pytest.mark.parametrize("tolerance", [1e-2, 1e-3, 1e-5])
+def test_signal_ports_give_the_fewest_states_of_all_default_methods(tolerance):
+    """A gyroscopic model is passive, but signals have no power: the smallest model is returned."""
+    model, band = kc.LinearModel(**make_gyroscopic_chain()), (0.0, 8.0)
+    aims = {"tolerance": tolerance, "band": band}
+    methods = ("response POD", "balanced truncation", "frequency-limited balanced truncation")
+    states = []
+    for method in methods:
+        rom = kc.reduce(model, **aims, method=method)
+        assert rom.certificate.reduction_method == method
+        states.append(rom.order * (1 if rom.first_order else 2))
+    rom = kc.reduce(model, **aims)
+    assert min(states) < 0.9 * states[0]
+    assert rom.order * (1 if rom.first_order else 2) <= min(states)
+    assert rom.certificate.reduction_method in methods
+    assert rom.certificate.stable
+    resonances = np.abs(model.poles().imag) / (2 * np.pi)
+    frequency = np.union1d(np.linspace(*band, 400), resonances[resonances < band[1]])
+    exact, ours = (item.transfer(frequency) for item in (model, rom))
+    assert (np.abs(ours - exact).max(axis=0) <= tolerance * np.abs(exact).max(axis=0)).all()
+
+
+def test_the_certificate_contains_the_largest_error_at_a_notch(tmp_path):
+    """The reference is a fine grid; the screen names the frequency and the option."""
+    K = 2 * np.eye(40) - np.eye(40, k=1) - np.eye(40, k=-1)
+    matrices = {"M": np.eye(40), "E": 0.02 * K, "K": K, "B": np.eye(40)[:, :1]}
+    model = kc.LinearModel(**matrices)
+    rom = kc.reduce(model, tolerance=1e-1, band=(0, 0.1))
+    at, error = rom.certificate.pointwise
+    frequency = np.union1d(np.linspace(0, 0.1, 20001), [at])
+    exact, ours = (item.transfer(frequency)[:, 0, 0] for item in (model, rom))
+    pointwise = np.abs(ours / exact - 1)
+    assert error == pytest.approx(pointwise.max(), rel=0.02)
+    assert pointwise[frequency == at][0] == pytest.approx(error, rel=1e-6)
+    assert error > 3 * rom.certificate.error_estimate
+    file = tmp_path / "chain.npz"
+    np.savez(file, **matrices)
+    words = ["reduce", str(file), "--band", "0", "0.1", "--tolerance", "0.1"]
+    shown = CliRunner().invoke(app, [*words, "-o", str(tmp_path / "out")]).stdout
+    text = " ".join(shown.split())
+    assert "--norm pointwise limits this error" in text
+    assert "method response POD error check difference from" in text
+    back = read_rom(tmp_path / "out" / "chain_rom.npz").certificate
+    assert back.pointwise == pytest.approx((at, error), rel=1e-6)
+    assert back.reduction_method == "response POD"
+    pointwise_rom = kc.reduce(model, tolerance=1e-1, band=(0, 0.1), norm="pointwise")
+    assert pointwise_rom.certificate.pointwise is None
+    assert pointwise_rom.certificate.error_estimate <= 0.1
+
+
+def test_a_useless_order_warns_and_the_advice_works():
+    """Two unknowns cannot represent dozens of resonances."""
+    K = 2 * np.eye(40) - np.eye(40, k=1) - np.eye(40, k=-1)
+    model = kc.LinearModel(M=np.eye(40), E=0.001 * K, K=K, B=np.eye(40)[:, :1])
+    with pytest.warns(UserWarning, match="does not represent the full model.*tolerance, such as"):
+        kc.reduce(model, order=2, band=(0, 0.25), norm="pointwise")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        kc.reduce(model, tolerance=1e-4, band=(0, 0.25), norm="pointwise")
+
+
+def test_a_comparison_fits_into_80_columns_and_names_the_default(tmp_path):
+    """Each reduced model has one line; the reasons of the other methods follow."""
+    file = tmp_path / "rotor.npz"
+    np.savez(file, **make_gyroscopic_chain())
+    words = ["reduce", str(file), "--band", "0", "8", "--tolerance", "1e-3", "--method", "compare"]
+    lines = CliRunner().invoke(app, words).stdout.splitlines()
+    assert max(map(len, lines)) <= 80
+    rows = [line for line in lines if line.startswith("frequency-limited balanced truncation ")]
+    assert len(rows) == 1
+    assert rows[0].split()[4] == "1st"
+    assert "2nd*" in next(line for line in lines if line.startswith("response POD "))
+    assert any(line.startswith("default: ") for line in lines)
+    assert (
+        "block Krylov" in lines[[*map(str.strip, lines)].index("Methods without a result") + 1 :][1]
+    )
 
 
 def test_a_comparison_of_an_unstable_model_warns_and_has_its_exit_code(tmp_path):

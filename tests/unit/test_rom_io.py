@@ -130,7 +130,10 @@ def test_reduction_is_printed_with_one_fact_per_row(tmp_path, cli):
     assert float(ratio) <= 1e-5
     assert words == "the largest response in the band"
     assert "%" not in ran.stdout
-    begin = next(k for k, line in enumerate(lines) if line.startswith("method difference from"))
+    assert any(line.startswith("method ") for line in lines)
+    begin = next(
+        k for k, line in enumerate(lines) if line.startswith("error check difference from")
+    )
     assert any(line.startswith("stability from") for line in lines[begin + 1 :])
 
 

@@ -34,6 +34,12 @@ HOSTILE = {
     "control behind a carriage return": "* text\r.control\rshell id",
     "bare shell": "shell rm -rf ~",
     "bare Shell in capitals": "SHELL id",
+    "bare change of the folder": "cd ..",
+    "bare load": "load /etc/passwd",
+    "bare source": "source evil.sp",
+    "bare code model": "codemodel ./evil.cm",
+    "bare unset": "unset a b",
+    "bare quit": "quit",
     "comment that is a command": "*#shell id",
     "comment that makes a script": "*ng_script\nshell id",
     "command comment behind blanks": "  *# shell id",
@@ -107,6 +113,11 @@ BENIGN = {
     "coupled coils": "L1 a 0 1m\nL2 b 0 1m\nK1 L1 L2 0.9\n",
     "controlled sources": "V1 a 0 0\nF1 b 0 V1 2\nH1 c 0 V1 3\nG1 d 0 a b 1\nE1 e 0 a b 1\n",
     "part called like a command": "Rshell a b 1\nCsource a b 1u\nXcontrol a b amp\n",
+    "capacitor named like a command": ".subckt x a b\nCd a b 1n\nCd2 a b {1n}\n.ends\n",
+    "coil named like a command": "LOAD a b 1m\nRb b 0 1\n",
+    "switches named like commands": "Set a b c d SM\nShell a b c d SM\nWrite a b V1 WM\n",
+    "sources named like commands": "Exit a 0 b 0 2\nHardcopy a 0 V1 2\n",
+    "transistor named like a command": "Quit c b e QM\n",
     "node called like a command": "R1 shell control 1\n",
     "empty": "",
     "only comments": "* nothing\n* at all\n",
@@ -173,6 +184,20 @@ def test_the_line_is_named(user):
         user({"user.lib": AMPLIFIER + "* one more\n.control\n.endc\n"})
     assert caught.value.got == ".control"
     assert "--trust" in str(caught.value.hint)
+
+
+@pytest.mark.parametrize(("line", "action"), [
+    ("cd ..", "Cd NODE1 NODE2 VALUE"), ("Load a b", "Load NODE1 NODE2 VALUE"),
+    ("shell id", "Shell NODE1 NODE2 NODE3 NODE4 VALUE"),
+])  # fmt: skip
+def test_an_incomplete_element_named_like_a_command_gets_its_form(line, action, user):
+    """A line with the proposed form passes, because ngspice reads the line as an element."""
+    with pytest.raises(UsageError, match="has the command") as caught:
+        user({"user.lib": AMPLIFIER + line + "\n"})
+    assert action.lower() in caught.value.hint.lower()
+    assert "--trust" not in caught.value.hint
+    element = caught.value.hint.rpartition("write  ")[2]
+    user({"user.lib": AMPLIFIER + element.replace("VALUE", "1n") + "\n"})
 
 
 def test_trust_does_not_change_the_circuit(user):

@@ -185,7 +185,9 @@ def test_a_ladder_of_real_poles_becomes_a_passive_model_of_first_order(kind):
     assert all(np.array_equal(P, P.T) for P in parts)
     assert all(np.linalg.eigvalsh(P)[0] > 0 for P in parts)
     heavy = LinearModel(M=np.eye(n), E=0.1 * np.eye(n), K=K, B=np.eye(n)[:, [0]], ports=ports)
-    assert not reduce_model(heavy, tolerance=1e-2, band=(0.0, 0.1), norm="peak").first_order
+    ringing = reduce_model(heavy, tolerance=1e-2, band=(0.0, 0.1), norm="peak")
+    assert "without inertia" not in ringing.certificate.method
+    assert np.abs(ringing.poles().imag).max() > 0
 
 
 @pytest.mark.parametrize("tolerance", [1e-2, 2e-3, 1e-3, 1e-4, 1e-5])

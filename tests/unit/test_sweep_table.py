@@ -3,10 +3,14 @@
 import contextlib
 import csv
 import sqlite3
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
 from support import (
+    MissingToolError,
     PointResult,
     RowStore,
     UsageError,
@@ -14,6 +18,7 @@ from support import (
     collect_columns,
     compute_yields,
     make_plan,
+    sweep_execution,
     write_csv,
 )
 
@@ -147,3 +152,67 @@ def test_values_that_differ_by_rounding_have_one_bar():
     values = 6300.0 + np.spacing(6300.0) * np.array([0.0, 1.0, 0.0, 1.0, 2.0])
     (bars,) = _plot_histogram(("resonance [Hz]", values)).curves
     assert bars.y.tolist() == [5.0]
+
+
+# --- a sweep that ends early ----------------------------------------------------------------------
+
+LAMP = """
+name = "lamp"
+[drive]
+part = "source"
+dc = "12 V"
+[lamp]
+part = "resistor"
+resistance = "6 Ohm"
+pins = { a = "drive.out" }
+[analysis]
+type = "op"
+[probes]
+current_a = { of = "lamp.i" }
+"""
+
+
+def end_early(monkeypatch, folder, run_point, metrics=(), points=20):
+    """Run a sweep on two threads until its error; return the error and the stored rows."""
+    path = folder / "lamp.toml"
+    path.write_text(LAMP)
+    ranges = [f"lamp.resistance=1:{points}:{points}"]
+    sweep = sweep_execution.load_named_sweep(str(path), ranges, metrics=metrics)
+    monkeypatch.setattr(sweep_execution, "run_point", run_point)
+    out = folder / "out"
+    with ThreadPoolExecutor(2) as pool, pytest.raises((UsageError, MissingToolError)) as caught:
+        sweep_execution.run_sweep(sweep, out, lambda: contextlib.nullcontext((pool, 2)))
+    with opened(out / sweep_execution.ROWS_FILE, points, sweep.digest) as store:
+        return caught.value, sorted(store.outcomes)
+
+
+@pytest.mark.parametrize("cause", ["unknown metric", "missing tool"])
+def test_points_that_run_at_an_error_are_stored(monkeypatch, tmp_path, cause):
+    """The first point ends the sweep while the second point runs: the second point is kept."""
+    begun, ended = threading.Event(), threading.Event()
+
+    def run_point(job, values):
+        if values["lamp.resistance"] == 1.0:
+            assert begun.wait(30)
+            ended.set()
+            if cause == "missing tool":
+                raise MissingToolError("ngspice is missing")
+        else:
+            begun.set()
+            assert ended.wait(30)
+            time.sleep(0.2)
+        return PointResult({"current_a": 12.0 / values["lamp.resistance"]})
+
+    metrics = ("currant_a",) if cause == "unknown metric" else ()
+    error, stored = end_early(monkeypatch, tmp_path, run_point, metrics)
+    assert isinstance(error, MissingToolError if cause == "missing tool" else UsageError)
+    assert 1 in stored
+    assert (0 in stored) == (cause == "unknown metric")
+    assert len(stored) < 6  # no further point begins
+
+
+def test_a_lost_point_states_the_cause_and_the_next_action():
+    """A repeated sweep runs the point again, and fewer workers need less memory."""
+    assert sweep_execution.LOST_POINT.interrupted
+    assert "memory" in sweep_execution.LOST_POINT.failure
+    assert "repeat the sweep with fewer workers" in sweep_execution.LOST_POINT.failure

@@ -9,12 +9,15 @@ from support import (
     NeglectedEffect,
     describe_analysis,
     format_model_summary,
+    format_summary,
     list_part_keys,
     load_part_types,
     load_scene,
     print_findings,
     print_keys,
 )
+
+import kc2spice as kc
 
 SETTINGS = [
     {"key": "solver.max_step", "value": 5e-6, "error": None, "error_of": None, "unit": "s"},
@@ -119,6 +122,27 @@ def test_a_swept_source_states_its_range():
 def test_the_analysis_states_its_range():
     assert describe_analysis(load_scene("impact")) == "transient, 0 s to 15 µs"
     assert describe_analysis(load_scene("buzzer_noise")).startswith("noise, ")
+
+
+@pytest.mark.parametrize(
+    ("keys", "default"),
+    [
+        ({}, True),
+        ({"analysis": {"type": "transient"}}, True),
+        ({"analysis": {"type": "transient", "stop": "2 ms"}}, False),
+        ({"solver": {"stop": "2 ms"}}, False),
+        ({"analysis": {"type": "op"}}, False),
+    ],
+)
+def test_a_run_states_an_end_time_that_no_key_sets(keys, default):
+    result = kc.run({
+        "drive": {"part": "source", "dc": "1 V", "pins": {"out": "load.a"}},
+        "load": {"part": "resistor", "resistance": 50.0, "pins": {"b": "gnd"}},
+        "probes": {"current": {"of": "load.i"}},
+        **keys,
+    })  # fmt: skip
+    found = dict(format_summary(result.record).rows).get("analysis")
+    assert found == ("stop = 5 ms (default of the key analysis.stop)" if default else None)
 
 
 def test_neglected_effects_state_their_size():

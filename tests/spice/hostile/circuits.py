@@ -62,6 +62,11 @@ def blocks():
         "command comment in a card": f"R7 ref 0 1\n*#{shell}\n+ \n",
         "script": f"*ng_script\n{shell}\n",
         "bare": f"{shell}\n",
+        "bare in the form of a switch": f".subckt q a\n{shell} b c d\n.ends\n",
+        "bare in the form of a current switch": ".subckt q a\nwrite pwned a V1 d\n.ends\n",
+        "bare in the form of a source": ".subckt q a\nexec touch pwned b c 1\n.ends\n",
+        "bare load in the form of a coil": ".subckt q a\nload inner.lib a 1m\n.ends\n",
+        "bare source in the form of a switch": ".subckt q a\nsource inner.lib a b c d\n.ends\n",
         "exec": f".exec {shell}\n",
         "library": ".lib inner.lib evil\n",
         "library in capitals": ".LIB 'inner.lib' evil\n",
@@ -92,7 +97,8 @@ def blocks():
 
 def honest():
     """Circuits that must run; a program that refuses everything fails here."""
-    return "* nothing\n", ".include\textra.lib\n", '.INC "extra.lib" ; x\n'
+    names = ".subckt q a\nCd a 0 1n\nLoad a 0 1m\nExit b 0 a 0 2\nRb b 0 1\n.ends\n"
+    return "* nothing\n", ".include\textra.lib\n", '.INC "extra.lib" ; x\n', names
 
 
 def names():
