@@ -71,6 +71,8 @@ def _select_unknowns(doc: Any) -> Iterator[str]:
         yield _table(("pin", "1 V is 1", "1 A is 1", "default"), rows)
         if doc.scene:
             yield f"Pins as in the built-in scene `{doc.scene}`.\n"
+        if doc.origin_of_pins:
+            yield f"These are the pins of the example. {doc.origin_of_pins}\n"
     else:
         yield "Its pins follow from its keys.\n"
     if doc.optional_pins:
