@@ -491,7 +491,7 @@ def _explain_list(invalid: _InvalidValue) -> Explanation:
     if isinstance(value, str) and value in _AXIS_VECTORS:
         example = _AXIS_VECTORS[value]
     elif isinstance(value, (int, float, str)) and key == "band":
-        example = f"[0, {format_toml(value)}]"  # a band begins at 0 Hz
+        example = f"[0, {format_toml(value)}]"  # the lowest frequency of the proposed band is 0 Hz
     elif isinstance(value, str) and isinstance(key, str):
         example = f'["{value}"]'
     return (

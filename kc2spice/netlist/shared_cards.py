@@ -56,7 +56,7 @@ def list_range_conditions(parameters: Sequence[Param]) -> dict[str, str]:
 
 
 def write_condition_stops(conditions: Mapping[str, str], node: str) -> Iterator[Element]:
-    """Yield resistors that stop the simulator unless all expressions are finite.
+    """Yield resistors whose values stop the simulator if an expression is not finite.
 
     Both ends of a resistor are at the same node, so no current flows. The simulator adds and
     subtracts the conductance of the resistor in its matrix. The resistance is therefore so large

@@ -174,7 +174,7 @@ class DeclaredPart(PartType[KeysT]):
         return tuple(d.speeds.get(b.plus, b.plus) for b in d.inertial_branches)
 
     def equilibrium_conditions(self, part: Part[KeysT], scene: WiredScene) -> EquilibriumConditions:
-        """Return the pin pairs between which the part can transmit a steady flow.
+        """Return the equilibrium conditions: pin pairs that can transmit a steady flow.
 
         A branch transmits a steady flow, such as a constant force or current, if the branch has a
         stiffness at rest, or if its coordinate is a flow.

@@ -335,7 +335,7 @@ def convert_to_waves(deck: Deck, vectors: Mapping[str, np.ndarray]) -> dict[str,
             result = vectors.get(name, vectors.get(f"i({name})"))
             if result is None:
                 raise SimulationError(
-                    "the output of ngspice lacks a vector", where=deck.main_file_name, got=name
+                    f"the output of ngspice lacks the vector {name}", where=deck.main_file_name
                 )
             parts.append(sign * result)
         data[key] = factor * np.sum(parts, axis=0)

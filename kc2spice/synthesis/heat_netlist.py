@@ -196,7 +196,7 @@ def diagonalise_heat_model(model: LinearModel) -> LinearModel:
 
 
 def _separate_stored_heat(E: np.ndarray, K: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Separate temperature patterns that only store heat from those that conduct it.
+    """Split temperature patterns into those that only store heat and the others.
 
     The first returned basis spans the null space of K. The second returned basis spans the
     E-orthogonal complement of the null space of K. The modes in one subspace are therefore

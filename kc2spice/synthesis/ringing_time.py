@@ -132,7 +132,7 @@ def warn_of_long_run(build: BuiltScene, deck: Deck) -> None:
 
 
 def _suggest_mean_power(scene: Scene) -> str:
-    """Suggest to compute temperatures from a mean power; empty without heated parts.
+    """Return advice on temperatures from a mean power; empty if no part is heated.
 
     A periodic source heats a part during many periods, whose time points are many. A pin ``heat``
     of a part without electrical pins, such as a ``heat_body``, receives heat.

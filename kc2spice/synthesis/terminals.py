@@ -33,7 +33,7 @@ CROSS_ROUNDING = 1e-13
 # If C B is not zero, the rate of an output jumps when an input jumps.
 NEGLIGIBLE_JUMP = 1e-9
 INNER_NODE_PATTERN = r"tick|(inner|current|charge)\w*|sum\d+|[qpz]\d+|noise\d+"
-# The names that INNER_NODE_PATTERN does not match, in words.
+# Description of the names that INNER_NODE_PATTERN does not match, for error messages.
 PERMITTED_PIN_NAMES = (
     "a name that is not reserved; reserved names are `tick`, names that begin with `inner`, "
     "`current` or `charge`, and `p`, `q`, `z`, `sum` or `noise` followed by a number"

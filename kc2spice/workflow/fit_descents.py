@@ -155,7 +155,7 @@ def run_descents(descent: Descent) -> list[DescentResult]:
             "the fit varies too many keys",
             where=descent.body.data.where,
             got=f"{len(keys)} keys",
-            expected=f"few enough keys for a fit with at most {limit}",
+            expected=f"fewer keys, because a fit is limited to {limit}",
             hint=f"vary fewer keys: leave out --vary {keys[-1]}",
         ) from None
     low, high = descent.bounds

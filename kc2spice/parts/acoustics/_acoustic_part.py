@@ -170,7 +170,7 @@ class AcousticPart(PartType[FluidKeysT]):
     def equilibrium_conditions(
         self, part: Part[FluidKeysT], scene: WiredScene
     ) -> EquilibriumConditions:
-        """Return the pin pairs between which a steady volume velocity can flow."""
+        """Return the equilibrium conditions: pin pairs with a possible steady flow."""
         return EquilibriumConditions(self.steady_flow_paths(part))
 
     def constant_pins(self, part: Part[FluidKeysT], scene: WiredScene) -> Mapping[str, str]:

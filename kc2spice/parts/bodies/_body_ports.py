@@ -169,7 +169,7 @@ class BodyPorts(TouchablePart[LinearKeysT]):
     def equilibrium_conditions(
         self, part: Part[LinearKeysT], scene: WiredScene
     ) -> EquilibriumConditions:
-        """Return the pin pairs between which the body can transmit a constant flow.
+        """Return the equilibrium conditions: pin pairs with a possible constant flow.
 
         The body transmits a constant force, torque, heat flow or volume flow from each
         displacement, angle, temperature or pressure pin to the reference pin. The pin ``heat``,

@@ -354,7 +354,7 @@ dc = "1 W"
     def equilibrium_conditions(
         self, part: Part[HeatBodyKeys], scene: WiredScene
     ) -> EquilibriumConditions:
-        """Return the pin pairs between which the body can conduct a steady heat flow.
+        """Return the equilibrium conditions: pin pairs with a possible steady heat flow.
 
         If the body conducts heat to its surroundings, each pair consists of a pin and the reference
         pin, such as ``ambient``. If the body conducts no heat to its surroundings, each pair

@@ -240,7 +240,7 @@ class ResonatorPart(PartWithPartNumber[KeysT]):
         )
 
     def equilibrium_conditions(self, part: Part[KeysT], scene: WiredScene) -> EquilibriumConditions:
-        """Return the pin pairs between which the part can transmit a constant force.
+        """Return the equilibrium conditions: pin pairs with a possible constant force.
 
         Pairs with the pin ``heat`` are removed, because the part does not connect ``heat`` to
         ground.

@@ -333,8 +333,8 @@ class Netlist(PartType[NetlistKeys]):
     def vectors(self, part: Part[NetlistKeys], build: BuiltScene) -> Mapping[str, PartResult]:
         """Return the ngspice vectors: expressions of the part's results, keyed by name.
 
-        The results are the voltages of pins with ratings, and the pins, currents and inner nodes
-        that probes measure.
+        The results are the voltages of all pins with ratings, and all voltages and currents that
+        probes measure.
         """
         scene, pins = build.scene, {t.name: t for t in build.scene.pins(part.name)}
         rated = part.keys.ratings if scene.analysis.type == "transient" else ()

@@ -399,7 +399,7 @@ def count_film_branches(part: Part[GapKeys], scene: GovernedScene) -> int:
 def compute_truncation_error(
     film: SqueezeFilmKeys, gap: float, branches: int, frequency: float
 ) -> float:
-    """Return the truncation error of a gas-film series with ``branches`` springs.
+    """Return the truncation error of a gas-film series of ``branches`` terms.
 
     In the circuit, each of the first ``branches`` terms of the film series is a damper in series
     with a spring. The result is the larger of the relative errors of damping and force at

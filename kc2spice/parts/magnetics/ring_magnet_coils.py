@@ -267,7 +267,7 @@ class RingMagnetCoils(TouchablePart[RingMagnetCoilsKeys]):
     def equilibrium_conditions(
         self, part: Part[RingMagnetCoilsKeys], scene: WiredScene
     ) -> EquilibriumConditions:
-        """Return the pin pairs between which the part can transmit a constant force.
+        """Return the equilibrium conditions: pin pairs with a possible constant force.
 
         Pairs with the pin ``heat`` are removed, because the part does not connect ``heat`` to
         ground. The result contains no pairs with electrical pins. An operating point exists only if

@@ -150,7 +150,7 @@ class Contact(DeclaredPart[ContactKeys]):
     def equilibrium_conditions(
         self, part: Part[ContactKeys], scene: WiredScene
     ) -> EquilibriumConditions:
-        """Return the pin pairs between which the contact can transmit a constant force.
+        """Return the equilibrium conditions: pin pairs with a possible constant force.
 
         The pin ``base`` and the pins of rigid surfaces form pairs with ground. If two elastic
         surfaces touch without a gap, each port of the lower surface forms a pair with the pin ``b``
