@@ -9,6 +9,7 @@ from functools import cached_property
 from operator import attrgetter
 from pathlib import PurePosixPath
 
+from kc2spice.core.disjoint_groups import DisjointGroups
 from kc2spice.core.errors import did_you_mean
 from kc2spice.netlist.circuit import (
     NODE_COUNTS,
@@ -218,6 +219,32 @@ def conducts_to_ground(scope: Scope, enclosing: frozenset[str] = frozenset()) ->
         if called and called.where not in inside and conducts_to_ground(called, inside):
             return True
     return False
+
+
+def find_currentless_pins(scope: Scope) -> dict[str, list[str]]:
+    """Find the pins of a subcircuit through which no current can flow.
+
+    The elements at such a pin connect it neither to another pin nor to ground. The result contains
+    the inner nodes that are connected to each of these pins. Pins that only control sources are not
+    in the result. The result is empty if the subcircuit contains global nodes.
+    """
+    if any(isinstance(card, Directive) and card.keyword == ".global" for card in scope.commands):
+        return {}
+    groups = DisjointGroups((*scope.pins, *scope.nodes, "0"))
+    for element in scope.elements:
+        nodes = [*element.lower_case_nodes[: _CONDUCTING_NODES.get(element.kind)]]
+        called = scope.find_subcircuit(element.model) if element.kind == "x" else None
+        if element.kind == "x" and (called is None or conducts_to_ground(called)):
+            nodes.append("0")
+        ends = ["0" if node in GROUND_NAMES else node for node in nodes]
+        for node in ends[1:]:
+            groups.join(ends[0], node)
+    result = dict[str, list[str]]()
+    for group in groups.list_groups():
+        pins = [node for node in group if node in scope.pins]
+        if len(pins) == 1 and "0" not in group and len(group) > 1:
+            result[pins[0]] = [node for node in group if node not in pins]
+    return result
 
 
 def find_instance(top: Scope, path: tuple[str, ...]) -> Scope | None:

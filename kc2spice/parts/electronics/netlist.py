@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from itertools import chain, filterfalse
@@ -37,6 +38,7 @@ from kc2spice.netlist.name_scopes import (
     Scope,
     build_scope,
     conducts_to_ground,
+    find_currentless_pins,
     has_vector,
 )
 from kc2spice.netlist.number_and_name_spelling import (
@@ -78,6 +80,10 @@ _CURRENT_PARAMETERS = {
 # Units of potential and flow for each kind of pin. A signal pin carries no current.
 PIN_KINDS = {f"{unit}/{flow}": (unit, flow) for unit, flow in PIN_UNITS} | {"V": ("V", SIGNAL)}
 OTHER_KINDS = ", ".join(kind for kind in PIN_KINDS if kind not in ("V/A", "V"))
+
+# Names of nodes that are usually pins. A circuit inside a subcircuit may use another pin as the
+# reference of voltages, so other nodes without a path to a second pin are no mistake.
+_REFERENCE_NAMES = frozenset({"ref", "vss", "com", "common", "agnd", "dgnd", "pgnd", "ground"})
 
 
 RATING_ADVICE = (
@@ -283,6 +289,7 @@ class Netlist(PartType[NetlistKeys]):
                 f"{list_candidates(node, choices)}",
                 hint=did_you_mean(node, choices) or f'write  of = "{part.name}.{choices[0]}"',
             )
+        _warn_of_missing_pins(part, scene)
         if part.keys.ratings and scene.analysis.type != "transient":
             warn_user(
                 f"{part.name}: the key `ratings` has no effect in the {scene.analysis.type} "
@@ -533,6 +540,20 @@ def _write_inner_vector(node: str, part: str = "") -> str:
     name = f"{element[0]}.{path}{element}" if path else element
     read = _CURRENT_PARAMETERS.get(element[0], "i")
     return f"i({name})" if read == "" else f"@{name}[{read}]"
+
+
+def _warn_of_missing_pins(part: Part[NetlistKeys], scene: DeclaredScene) -> None:
+    """Warn about reference nodes that the ``.subckt`` line probably lacks as pins."""
+    pins: dict[str, list[str]] = {}
+    with suppress(UsageError):  # later checks report an invalid netlist
+        pins = find_currentless_pins(_read_subcircuit(part, scene))
+    for pin, inner in pins.items():
+        for node in filter(_REFERENCE_NAMES.__contains__, inner):
+            warn_user(
+                f"{part.name}: no current can flow through the pin {pin}, because no element "
+                f"of .subckt {part.keys.subckt} connects {pin} to another pin or to ground; if "
+                f"{node} is a pin, add {node} to the .subckt line"
+            )
 
 
 def _read_subcircuit(part: Part[NetlistKeys], scene: DeclaredScene) -> Scope:
