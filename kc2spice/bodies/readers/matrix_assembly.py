@@ -138,6 +138,17 @@ def _reject_ambiguous_feedthrough(rows: LabelledMatrices) -> None:
         )
 
 
+def _list_missing_matrices(rows: LabelledMatrices) -> list[str]:
+    """List the matrices that a model lacks; ports of a TOML file replace the matrix B."""
+    letters = {*rows.matrices, *(["B"] if rows.sidecar.ports else [])}
+    required = "BMK"
+    if "A" in letters:
+        required = "B"
+    elif "E" in letters and "M" not in letters:
+        required = "BK"
+    return [letter for letter in required if letter not in letters]
+
+
 def _complete_matrices(rows: LabelledMatrices) -> Mapping[str, Matrix]:
     """Return all matrices by letter, with defaults for missing ones; check the shapes.
 
@@ -150,18 +161,20 @@ def _complete_matrices(rows: LabelledMatrices) -> Mapping[str, Matrix]:
     structural = stiffness is not None and np.iscomplexobj(stiffness)
     if structural:
         matrices["K"] = sparse.csc_array(stiffness.real)  # type: ignore[union-attr]
-    if "B" not in matrices and not rows.sidecar.ports:
-        got = "matrices " + ", ".join(sorted(matrices))
-        lacking = "B" if {"M", "E", "A"} & set(matrices) else "B and M"
+    if missing := _list_missing_matrices(rows):
+        lacking = " and ".join(missing)
         hint = f"add the matrix {lacking} to {Path(rows.where).name}"
         if (name := re.fullmatch(r"(.+[._])[MEKABCD](\.\w+)?", Path(rows.where).name)) is not None:
-            files = " and ".join(f"{name[1]}{k}{name[2] or ''}" for k in lacking.split(" and "))
-            hint = f"add the file{'s' if len(lacking) > 1 else ''} {files}"
+            files = " and ".join(f"{name[1]}{k}{name[2] or ''}" for k in missing)
+            hint = f"add the file{'s' if len(missing) > 1 else ''} {files}"
+        no_inputs = "B" in missing
         raise wrong(
             rows.where,
-            "the model has no inputs",
-            got=got,
-            expected="matrix B with a column for each input, or [[ports]] in the TOML file",
+            "the model has no inputs" if no_inputs else f"the model has no matrix {lacking}",
+            got="matrices " + ", ".join(sorted(matrices)),
+            expected="matrix B with a column for each input, or [[ports]] in the TOML file"
+            if no_inputs
+            else "M, K and B; or E, K and B; or A and B",
             hint=hint,
         )
     size = max(
