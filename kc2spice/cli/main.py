@@ -250,11 +250,15 @@ def _export(
             hint="leave out --dense",
         )
     else:
+        from kc2spice.core.user_warnings import collect_warnings, warn_user
         from kc2spice.workflow.export import export_scene
 
         overrides = [] if tolerance is None else [f"rom.tolerance={tolerance}"]
         try:
-            loaded = _load_scene(scene, [*(set_ or []), *overrides])
+            with collect_warnings() as warnings:
+                loaded = _load_scene(scene, [*(set_ or []), *overrides])
+            for text in warnings:
+                warn_user(text.replace(f"'rom.tolerance={tolerance}'", f"--tolerance {tolerance}"))
         except UsageError as error:
             if overrides and error.where == f"--set {overrides[0]!r}":
                 error.where, error.got = "--tolerance", f"{tolerance:g}"

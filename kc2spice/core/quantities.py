@@ -10,6 +10,7 @@ conversion to a float. For example, ``"50 um"`` equals ``50e-6`` exactly.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -35,6 +36,7 @@ DEFAULT_TEMPERATURE = 300.15  # K, default temperature of a simulation (27 °C i
 ELEMENTARY_CHARGE = 1.602176634e-19  # C, exact (SI, 2019)
 
 
+_PERCENTAGE = re.compile(r"\s*([0-9.]+)\s*%\s*")
 # message about several values in place of one value
 ONE_VALUE = "this key accepts one value, not a range or a list"
 
@@ -192,6 +194,17 @@ def _parse_mounting(value: object) -> object:
     raise make_invalid_value_error("this mounting does not exist", expected, hint=hint)
 
 
+def _reject_percent(value: object) -> object:
+    """Reject a Q factor in percent, and return any other value unchanged."""
+    if isinstance(value, str) and (percent := _PERCENTAGE.fullmatch(value)):
+        raise make_invalid_value_error(
+            "a Q factor has no unit %",
+            "a plain number; a damping ratio of 1 % is a Q factor of 50",
+            hint=f"write  {percent[1]}",
+        )
+    return value
+
+
 def si(unit: str) -> BeforeValidator:
     """Return a pydantic validator for a scene key whose values have the given SI unit.
 
@@ -313,7 +326,8 @@ Ratio = Annotated[float, si("")]
 _HIGHEST_Q = 1e6
 _REASON_OF_Q = "only crystals in vacuum reach a Q factor of 1e6, a loss factor of 1e-6"
 USUAL_Q_FACTOR = UsualRange("", 0.0, _HIGHEST_Q, _REASON_OF_Q)
-QFactor = Annotated[Ratio, USUAL_Q_FACTOR]
+UnlimitedQFactor = Annotated[Ratio, BeforeValidator(_reject_percent)]
+QFactor = Annotated[UnlimitedQFactor, USUAL_Q_FACTOR]
 LossFactor = Annotated[Ratio, UsualRange("", 1 / _HIGHEST_Q, math.inf, _REASON_OF_Q)]
 # The damping ratio is half of the loss factor.
 DampingRatio = Annotated[Ratio, UsualRange("", 0.5 / _HIGHEST_Q, math.inf, _REASON_OF_Q)]

@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
+from kc2spice.core.key_actions import DeleteKey
 from kc2spice.core.quantities import (
     Count,
     DampingRatio,
@@ -145,12 +146,11 @@ class DampingKeys(Section):
         choices = [self.ratio, self.quality, self.loss_factor]
         if sum(item is not None for item in choices) + self.per_material > 1:
             names = "ratio", "quality", "loss_factor", "per_material"
-            stated = [name for name in names if name in self.model_fields_set]
+            stated = [name for name in names if getattr(self, name) not in (None, False)]
             raise make_invalid_value_error(
                 f"the damping is stated twice, by {' and '.join(stated)}",
                 f"one of {', '.join(names)}",
-                hint=f"delete {stated[0]}; an option --set replaces the table: "
-                f"damping={{{stated[-1]}={getattr(self, stated[-1])}}}",
+                hint=DeleteKey(stated[0]),
             )
         two = isinstance(self.ratio, tuple), isinstance(self.at, tuple)
         if two[0] != two[1]:

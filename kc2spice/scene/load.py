@@ -20,7 +20,7 @@ from kc2spice.core.key_actions import SetKey, SweepKey
 from kc2spice.core.key_errors import describe_invalid_key
 from kc2spice.core.toml_text import clip_text, display_text
 from kc2spice.core.untrusted_files import make_identifier
-from kc2spice.core.user_warnings import collect_warnings
+from kc2spice.core.user_warnings import collect_warnings, warn_user
 from kc2spice.scene.key_checks import check_periods, check_scene
 from kc2spice.scene.net_formation import add_default_joins, warn_of_short_circuits
 from kc2spice.scene.override_advice import (
@@ -28,11 +28,17 @@ from kc2spice.scene.override_advice import (
     advise_override,
     check_override_targets,
     explain_replaced_type,
-    warn_of_replaced_overrides,
+    warn_of_replaced_keys,
     write_override_example,
 )
 from kc2spice.scene.override_origin import OverrideOrigin
-from kc2spice.scene.overrides import Override, read_overrides, set_key
+from kc2spice.scene.overrides import (
+    Override,
+    delete_excluded_keys,
+    read_overrides,
+    set_key,
+    split_table_of_part,
+)
 from kc2spice.scene.part_method_calls import add_part_records, resolve
 from kc2spice.scene.parttype import find_part_type, list_type_names
 from kc2spice.scene.plausibility import apply_check_action, check_drive_levels
@@ -73,8 +79,9 @@ def load_scene(
         Strings ``dotted.key=value``, or a mapping of dotted keys to values. In a string
         ``dotted.key=value``, the value is a TOML value (``80``, ``"80 V"``, ``[0, 1e5]``), a
         quantity (``80 V``) or a word (``antiparallel``). Numbers are in SI units. A string may also
-        be the path of a TOML file that contains dotted keys and values. List entries are counted
-        from 0; negative numbers count from the end of the list: ``beam.layers[0].thickness``,
+        be the path of a TOML file that contains dotted keys and values. A table of a part without
+        the key ``part`` changes only the keys in the table. List entries are counted from 0;
+        negative numbers count from the end of the list: ``beam.layers[0].thickness``,
         ``disc.layers[-1].material``.
 
     Returns
@@ -124,7 +131,12 @@ def load_scene(
         )
     tables = {name: table for name, table in data.items() if isinstance(table, Mapping)}
 
-    stated = list(read_overrides(overrides, partial(write_override_example, tables)))
+    parts = tables.keys() - SceneKeys.model_fields.keys()
+    stated = [
+        single
+        for override in read_overrides(overrides, partial(write_override_example, tables))
+        for single in split_table_of_part(override, parts)
+    ]
     # the tables and the file before the overrides, to find the override that causes an error
     find_error_without = partial(
         _find_error_without,
@@ -132,15 +144,14 @@ def load_scene(
         tables=_copy_tables(data),
         source=replace(source, overrides={}, override_folders=dict(source.override_folders)),
     )
-    typed = dict[tuple[str, ...], OverrideOrigin]()  # origins of overrides that are not in a file
-    for override in stated:
-        path = _apply_override(data, source, override)
-        if override.folder is None:
-            warn_of_replaced_overrides(typed, path, override.key, override.origin)
-            typed[path] = override.origin
+    with collect_warnings() as notes:  # an error is more important than these warnings
+        for override in stated:
+            _apply_override(data, source, override)
     check_override_targets(data, tables, source)
     try:
         result = _make_scene(data, source)
+        for note in notes:
+            warn_user(note)
         return replace(result, workspace=scene.workspace) if isinstance(scene, Scene) else result
     except UsageError as problem:
         # an absolute path, or a line of a netlist, is not a key of the scene file
@@ -155,7 +166,8 @@ def load_scene(
                 problem.hint = hint
             if isinstance(problem.action, SweepKey) and isinstance(scene, (str, Path)):
                 problem.hint = replace(problem.action, scene=str(scene))
-            if not explain_replaced_type(data, source, problem):
+            list_pins = partial(_list_pins_of_table, home=source.base_folder)
+            if not explain_replaced_type(data, source, problem, list_pins):
                 advise_override(source, problem, find_error_without)
                 if isinstance(scene, Mapping):
                     advise_dict_entry(problem)
@@ -163,12 +175,15 @@ def load_scene(
         raise
 
 
-def _apply_override(data: dict[str, Any], source: SceneFile, override: Override) -> tuple[str, ...]:
-    """Set the key of an override in the tables ``data``, and return the path of the key."""
-    value = _copy_tables(override.value)
-    path = set_key(data, override.key, value, str(override.origin))
-    source.set_override(path, value, override.origin, override.folder)
-    return path
+def _apply_override(data: dict[str, Any], source: SceneFile, override: Override) -> None:
+    """Set the key of an override in the tables ``data``, and delete the keys that it excludes."""
+    override = replace(override, value=_copy_tables(override.value))
+    path = set_key(data, override)
+    deleted = delete_excluded_keys(data, path, override.value)
+    warn_of_replaced_keys(source, path, override.value, deleted, override.origin)
+    for key in deleted:
+        source.overrides.pop(key, None)
+    source.set_override(path, override.value, override.origin, override.folder)
 
 
 def _find_error_without(
@@ -434,6 +449,11 @@ def _list_pins(name: str, table: Mapping[str, Any], kind: PartType, home: Path) 
         alone = Scene(SceneKeys(name=name), {name: part}, home=home)
         return [pin.name for pin in kind.pins(part, replace(alone, ports="all"))]
     return []
+
+
+def _list_pins_of_table(name: str, table: Mapping[str, Any], home: Path) -> list[str]:
+    """Return the names of the pins of a part whose type the table states, as in `_list_pins`."""
+    return _list_pins(name, table, _find_part_type(name, table), home)
 
 
 def _suggest_target(name: str, tables: Mapping[str, Any], home: Path) -> str:

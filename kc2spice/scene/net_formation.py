@@ -15,13 +15,18 @@ from operator import attrgetter
 from string import ascii_lowercase
 
 from kc2spice.core.disjoint_groups import DisjointGroups
-from kc2spice.core.domains import ACCELERATION, ELECTRICAL, QUANTITIES, Domain
+from kc2spice.core.domains import ACCELERATION, DISPLACEMENT, ELECTRICAL, QUANTITIES, Domain
 from kc2spice.core.errors import UsageError, did_you_mean, list_candidates, unknown
 from kc2spice.core.key_actions import Hint, SetKey
 from kc2spice.core.user_warnings import warn_user
 from kc2spice.scene.part_records import EquilibriumConditions
 from kc2spice.scene.parttype import find_current_into
-from kc2spice.scene.reference_frames import find_frames, require_constant_pins
+from kc2spice.scene.reference_frames import (
+    find_frames,
+    make_ignored_acceleration_error,
+    require_constant_pins,
+    suggest_ground,
+)
 from kc2spice.scene.scene_classes import (
     GROUND,
     BuiltPartRecord,
@@ -202,24 +207,79 @@ def _require_same_kind(a: Pin, b: Pin, scene: Scene, where: str) -> None:
         return
     first, second = scene.terminals[a], scene.terminals[b]
     if not first.fits(second):
-        pins = [*scene.terminals.items(), *_list_optional_pins(scene)]
-        fitting = (pin for pin, terminal in pins if pin[0] != a[0] and first.fits(terminal))
-        choices = list(map(".".join, fitting))
-        hint: Hint | None = (
-            _suggest_kind(a[0], first, second)
-            or _suggest_acceleration(b[0], second, first)
+        _require_input_for_acceleration(a, b, scene, where)
+        _require_input_for_acceleration(b, a, scene, where)
+        choices = _list_targets(a, scene)
+        pins = [choice for choice in choices if choice != GROUND]
+        hint: Hint = (
+            _advise_on_pin_at_rest(a, b, scene, where)
+            or _suggest_kind(a[0], first, second)
+            or _suggest_motion(a, b, scene)
             or _suggest_target(a, choices, scene)
         )
         name = ".".join(b)
+        expected = f"a pin of kind {first.kind}: {list_candidates(name, pins)}"
+        if not pins:
+            expected = f"no other part of the scene has a pin of kind {first.kind}"
+        if GROUND in choices:
+            expected = f"{GROUND}{', or' if pins else ';'} {expected}"
         raise UsageError(
             "this connection joins pins of different kinds",
             where=where,
             got=f"{'.'.join(a)} is a pin of kind {first.kind}, {name} is of kind {second.kind}",
-            expected=f"gnd, or a pin of kind {first.kind}: {list_candidates(name, choices)}"
-            if choices
-            else f"gnd; no other part of the scene has a pin of kind {first.kind}",
+            expected=expected,
             hint=hint,
         )
+
+
+def _require_input_for_acceleration(pin: Pin, other: Pin, scene: Scene, where: str) -> None:
+    """Reject an acceleration at the reference pin of a part that ignores it."""
+    part, terminal = scene.parts[pin[0]], scene.terminals[pin]
+    if part.is_body or part.type.follows_frames or not terminal.can_move:
+        return
+    advice = part.type.constant_pins(part, scene).get(terminal.name)
+    if advice == "" and scene.terminals[other].domain is ACCELERATION:
+        got = f"{'.'.join(other)}, a pin of kind {scene.terminals[other].kind}"
+        raise make_ignored_acceleration_error(part, scene, where, got)
+
+
+def _advise_on_pin_at_rest(a: Pin, b: Pin, scene: Scene, where: str) -> Hint | None:
+    """Return advice for a join of ``a`` to ``b`` if one of the pins must be at rest."""
+    part, source = scene.parts[b[0]], scene.terminals[a].kind_key
+    advice = part.type.constant_pins(part, scene).get(b[1])
+    if advice and source:
+        return advice
+    part = scene.parts[a[0]]
+    advice = part.type.constant_pins(part, scene).get(a[1])
+    stated = a[1] in part.pins and where == f"{part.name}.pins.{a[1]}"
+    return suggest_ground(where, advice) if stated and advice is not None else None
+
+
+def _list_targets(pin: Pin, scene: Scene) -> list[str]:
+    """List the pins, and ground, to which a pin can be joined without a short circuit."""
+    first, shorting = scene.terminals[pin], _list_shorting_pins(pin, scene)
+    result = []
+    for end, terminal in [*scene.terminals.items(), *_list_optional_pins(scene)]:
+        if end[0] != pin[0] and end not in shorting and first.fits(terminal):
+            result.append(".".join(end))
+    return result if _GROUND_PIN in shorting else [*result, GROUND]
+
+
+def _list_shorting_pins(pin: Pin, scene: Scene) -> set[Pin]:
+    """List the pins on the nets of all other pins of the same part and kind."""
+    union = DisjointGroups([_GROUND_PIN, *scene.terminals])
+    for part in scene.parts.values():
+        with suppress(UsageError):  # another join is also wrong
+            for name, target, where in _list_joins(part, scene):
+                if (part.name, name) != pin:
+                    union.join((part.name, name), _find_target(target, scene, where))
+    first = scene.terminals[pin]
+    result = set[Pin]()
+    for group in union.list_groups():
+        ends = (end for end in group if end[0] == pin[0] and end != pin)
+        if any(first.fits(scene.terminals[end]) for end in ends):
+            result.update(group)
+    return result
 
 
 def _list_optional_pins(scene: Scene) -> Iterator[tuple[Pin, Terminal]]:
@@ -252,25 +312,63 @@ def _suggest_kind(part: str, terminal: Terminal, other: Terminal) -> SetKey | No
     kinds = [name for name, (domain, _) in QUANTITIES.items() if domain.units == units]
     if not terminal.kind_key or not kinds:
         return None
-    return SetKey(part, terminal.kind_key, f'"{kinds[-1]}"', end=", with values in its unit")
+    # a source of acceleration prescribes a motion, so its new kind is a displacement
+    kind = kinds[0 if terminal.domain is ACCELERATION else -1]
+    return SetKey(part, terminal.kind_key, f'"{kind}"', end=", with values in its unit")
 
 
-def _suggest_acceleration(part: str, terminal: Terminal, other: Terminal) -> SetKey | None:
-    """Suggest an acceleration as the kind of a source at an acceleration pin."""
-    return _suggest_kind(part, terminal, other) if other.domain is ACCELERATION else None
+def _suggest_motion(pin: Pin, source: Pin, scene: Scene) -> Hint | None:
+    """Suggest a kind of motion for a source that is joined to a pin of another motion.
+
+    If the source also accelerates a body, the kind of the source remains, because ground is at rest
+    relative to the body.
+    """
+    first, second = scene.terminals[pin], scene.terminals[source]
+    moved = first.can_move and second.domain is ACCELERATION
+    if not (moved or first.domain is ACCELERATION):
+        return None
+    body = _find_accelerated_part(source, scene) if moved else None
+    if body is not None and second.kind_key:
+        return (
+            f'write  {pin[1]} = "{GROUND}"  if {pin[0]} moves with {body}, otherwise connect '
+            f"{pin[0]}.{pin[1]} to another source of kind {DISPLACEMENT.name}"
+        )
+    return _suggest_kind(source[0], second, first)
+
+
+def _find_accelerated_part(source: Pin, scene: Scene) -> str | None:
+    """Return the name of a part with an acceleration pin that is joined to a source."""
+    for (name, pin), terminal in scene.terminals.items():
+        if name != source[0] and terminal.domain is ACCELERATION:
+            targets = scene.parts[name].pins.get(pin), scene.parts[source[0]].pins.get(source[1])
+            if targets[0] == ".".join(source) or targets[1] == f"{name}.{pin}":
+                return name
+    return None
 
 
 def _suggest_target(pin: Pin, choices: Sequence[str], scene: Scene) -> str:
-    """Suggest a pin or ground to which a pin can be joined.
+    """Suggest one of ``choices`` as the target of a pin, or a new part without choices.
 
-    ``choices`` are pins of the same kind, of which the first is suggested. If one of a part's two
-    pins is joined, ground is suggested for the unjoined pin. The first of ``choices`` could be on
-    the net of the joined pin, which would short-circuit the part.
+    If the other pin of a part with two pins is joined, ground is suggested.
     """
-    ends = {end for part, end in scene.terminals if part == pin[0]}
-    joined = len(ends) == 2 and not ends.isdisjoint({*scene.parts[pin[0]].pins} - {pin[1]})
-    target = choices[0] if choices and not joined else GROUND
-    return f'write  {pin[1]} = "{target}"'
+    name, end = pin
+    others = [other for part, other in scene.terminals if part == name and other != end]
+    joined = len(others) == 1 and (
+        others[0] in scene.parts[name].pins or scene.is_target(name, others[0])
+    )
+    if choices:
+        target = GROUND if joined and GROUND in choices else choices[0]
+        return f'write  {end} = "{target}"'
+    terminal = scene.terminals[pin]
+    if terminal.can_move:
+        return (
+            f'write  {end} = "{name}_spring.a"  and add [{name}_spring] with part = "spring", '
+            'stiffness = "1 kN/m"'
+        )
+    if terminal.kind_key:
+        return f"delete [{name}], or add a part with a pin of kind {terminal.kind} and connect it"
+    kind = f', kind = "{terminal.domain.across.name}"' if terminal.domain else ""
+    return f'write  {end} = "{name}_source.out"  and add [{name}_source] with part = "source"{kind}'
 
 
 def _require_one_kind(net: list[Pin], scene: Scene) -> None:
@@ -429,8 +527,9 @@ def _make_unjoined_error(
     """
     fitting: list[Pin] = []
     waiting: list[Pin] = []
+    shorting = _list_shorting_pins((name, terminal.name), scene)
     for end, other in scene.terminals.items():
-        if end[0] != name and terminal.fits(other):
+        if end[0] != name and end not in shorting and terminal.fits(other):
             (waiting if end in alone else fitting).append(end)
     for end, other in _list_optional_pins(scene):
         if end[0] != name and terminal.fits(other):
@@ -451,9 +550,11 @@ def _make_unjoined_error(
             )
     elif terminal.can_move:
         hint = 'add a mechanical part for this pin, such as [spring] with part = "spring"'
-    else:
+    elif _GROUND_PIN not in shorting:
         hint = SetKey(name, "pins", f'{{ {pin} = "{GROUND}" }}', verb="add")
-    ground = [] if terminal.can_move else [GROUND]
+    else:
+        hint = _suggest_target((name, pin), [], scene)
+    ground = [] if terminal.can_move or _GROUND_PIN in shorting else [GROUND]
     kind = (
         "an electrical pin" if terminal.domain is ELECTRICAL else f"a pin of kind {terminal.kind}"
     )
@@ -495,12 +596,15 @@ def _require_pins_on_distinct_nets(scene: Scene) -> None:
         a, b = map(attrgetter("name"), pins)
         net, other = scene.get_nets(part.name, (a, b))
         if net == other:
+            targets = {end: _list_targets((part.name, end), scene) for end in (b, a)}
+            stated = [end for end in targets if end in part.pins] or [a]
+            end = next((end for end in stated if targets[end]), stated[0])
             raise part.wrong(
-                f"pins.{a}",
+                f"pins.{end}",
                 "both pins of this part are connected to the same net",
                 got=f"{part.name}.{a} and {part.name}.{b} on {'gnd' if net == '0' else net}",
                 expected="two pins on different nets",
-                hint=f'connect one of the pins to another net: pins = {{ {a} = "part.pin" }}',
+                hint=_suggest_target((part.name, end), targets[end], scene),
             )
 
 

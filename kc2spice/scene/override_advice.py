@@ -18,40 +18,52 @@ from kc2spice.core.key_errors import UNKNOWN_KEY
 from kc2spice.core.toml_text import format_toml
 from kc2spice.core.user_warnings import warn_user
 from kc2spice.scene.override_origin import OverrideOrigin
-from kc2spice.scene.overrides import EXCLUSIVE_KEYS, write_example
+from kc2spice.scene.overrides import write_example
 from kc2spice.scene.scene_classes import DEFAULT_TYPES
-from kc2spice.scene.scene_file import SceneFile
+from kc2spice.scene.scene_file import SceneFile, list_paths
 from kc2spice.scene.settings import SceneKeys
 from kc2spice.scene.table_advice import list_keys_of_table
 
 FindError: TypeAlias = Callable[[OverrideOrigin], Exception | None]
+ListPins: TypeAlias = Callable[[str, Mapping[str, Any]], Sequence[str]]
 # Largest number of overrides that are left out one by one to find the cause of an error.
 _MAX_TRIALS = 20
 
 
-def warn_of_replaced_overrides(
-    typed: Mapping[tuple[str, ...], OverrideOrigin],
+def warn_of_replaced_keys(
+    source: SceneFile,
     path: tuple[str, ...],
-    name: str,
+    value: Any,
+    deleted: Mapping[tuple[str, ...], Any],
     origin: OverrideOrigin,
 ) -> None:
-    """Warn about each earlier override that a later override of key ``name`` replaces.
+    """Warn about the earlier overrides and the scene keys that an override replaces.
 
-    ``typed`` contains the origins of the earlier overrides, keyed by path. ``path`` and ``origin``
-    are the path and the origin of the later override.
+    The override sets the key at ``path`` to ``value``. ``deleted`` contains the deleted values of
+    the keys that the override excludes. An option ``--set`` may replace a key of an override file
+    without a warning. A table may restate the keys of earlier overrides without a warning.
     """
-    excluded = (*path[:-1], EXCLUSIVE_KEYS.get(name, ""))
-    for other, earlier in typed.items():
-        if other in (path, excluded):
-            texts = [str(item).removeprefix("--set ") for item in (earlier, origin)]
-            warn_user(f"{texts[0]} has no effect, because {texts[1]} replaces it")
+    later = str(origin).removeprefix("--set ")
+    below = set(list_paths(path, value)) - {path}
+    for other, earlier in source.overrides.items():
+        is_lost = other[: len(path)] == path and other not in below
+        if (is_lost or other in deleted) and (earlier.file is None or origin.file is not None):
+            text = str(earlier).removeprefix("--set ")
+            warn_user(f"{text} has no effect, because {later} replaces it")
+    for other, value in deleted.items():
+        key = ".".join(other)
+        if source.find_override(key) is None:
+            warn_user(f"{later} replaces {key} = {format_toml(value)} of the scene")
 
 
-def explain_replaced_type(data: Mapping[str, Any], source: SceneFile, problem: UsageError) -> bool:
+def explain_replaced_type(
+    data: Mapping[str, Any], source: SceneFile, problem: UsageError, list_pins: ListPins
+) -> bool:
     """Explain a key error if an override that replaced the part type caused it.
 
     Return False, and leave the error unchanged, if no override replaces the type of the part. Also
-    return False if an override sets the key that the error is about.
+    return False if an override sets the key that the error is about. ``list_pins`` returns the
+    names of the pins of a part with the given name and table.
     """
     where = str(problem.where)
     name, _, key = where.partition(".")
@@ -68,6 +80,9 @@ def explain_replaced_type(data: Mapping[str, Any], source: SceneFile, problem: U
         if path in source.override_folders and len(path) == 2:
             file = source.override_folders[path] / str(table[path[1]])
             changed[path[1]] = os.path.relpath(file, source.base_folder)
+    if isinstance(pins := table.get("pins"), Mapping):
+        known = list_pins(name, changed) or list(pins)
+        changed["pins"] = {pin: target for pin, target in pins.items() if pin in known}
     text = f"{name}={format_toml(changed)}"
     problem.got = f"{where} of {source.label}: {problem.message}"
     problem.message = f"the key `{where}` of the scene does not fit the new part type"

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import re
 import shlex
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from kc2spice.core.errors import UsageError, did_you_mean
@@ -24,8 +26,11 @@ _DOTTED_KEY = re.compile(
 _STRUCTURAL_KEYS = ("part", "pins")  # keys of a part that never appear in examples of overrides
 _PLAIN_ARGUMENT = re.compile(r"[\w.=+:%,/-]+")  # pattern of strings that need no quotes in a shell
 _SEPARATOR = re.compile(r"[.\[]")
-# Keys that exclude each other: an override of ``rom.order`` deletes ``tolerance``, and vice versa.
-EXCLUSIVE_KEYS = {"rom.order": "tolerance", "rom.tolerance": "order"}
+# Tables with keys that exclude each other: an override of ``rom.order`` deletes ``rom.tolerance``.
+_EXCLUSIVE_KEYS = {
+    "rom": ("order", "tolerance"),
+    "damping": ("ratio", "quality", "loss_factor", "per_material"),
+}
 _OVERRIDE_EXAMPLES = (
     "dotted.key=value, such as kick.drive.voltage=80 or beam.layers[0].thickness=0.2 mm"
 )
@@ -36,13 +41,15 @@ class Override:
     """Override of a key: the dotted key as typed, the value, and the origin for errors.
 
     ``folder`` is the folder of the TOML file with the override, or None for an override that is not
-    in a file.
+    in a file. ``is_from_table`` states whether the user wrote the key into a table, which also
+    replaces a value that is not a table.
     """
 
     key: str
     value: Any
     origin: OverrideOrigin
     folder: Path | None = None
+    is_from_table: bool = False
 
 
 def read_overrides(
@@ -63,47 +70,82 @@ def read_overrides(
     for text, file in _expand_files(overrides):
         name, value = _parse_override(text, example)
         folder = None if file is None else Path(file).resolve().parent
-        yield Override(name, value, OverrideOrigin(text, is_option=True, file=file), folder)
+        origin = OverrideOrigin(text, is_option=True, file=file)
+        yield Override(name, value, origin, folder, is_from_table=file is not None)
 
 
-def expand_overrides(texts: Sequence[str]) -> list[str]:
+def split_table_of_part(override: Override, parts: Collection[str]) -> Iterator[Override]:
+    """Yield one override for each key of a table of a part without the key ``part``.
+
+    Other overrides are yielded unchanged. ``parts`` are the names of the parts of the scene.
+    """
+    table = override.value
+    if override.key not in parts or not isinstance(table, Mapping) or "part" in table:
+        yield override
+        return
+    for key, value in _flatten_tables(table, f"{override.key}."):
+        value_text = format_toml(value) if override.origin.is_option else value
+        origin = replace(override.origin, text=f"{key}={value_text}")
+        yield Override(key, value, origin, override.folder, is_from_table=True)
+
+
+def expand_overrides(texts: Sequence[str], scene: Mapping[str, Any]) -> list[str]:
     """Replace each TOML file name by strings ``dotted.key=value``, one for each key.
+
+    A table that replaces another value of the tables ``scene`` becomes a single string.
 
     Raises
     ------
     UsageError : a file does not exist or is not TOML.
     """
-    return [text for text, _ in _expand_files(texts)]
+    return [text for text, _ in _expand_files(texts, scene)]
 
 
-def _expand_files(texts: Sequence[str]) -> Iterator[tuple[str, str | None]]:
+def _expand_files(
+    texts: Sequence[str], scene: Mapping[str, Any] = MappingProxyType({})
+) -> Iterator[tuple[str, str | None]]:
     """Expand TOML files to overrides ``key=value``; yield each with its file name.
 
-    The file name is None for an override that is not in a file.
+    The file name is None for an override that is not in a file. ``scene`` are tables as in
+    `_flatten_tables`.
     """
     for text in texts:
         if "=" in text or not text.endswith(".toml"):
             yield text, None
             continue
         if not Path(text).is_file():
-            near = get_close_matches(text, map(str, Path().glob("*.toml")), 1, 0.7)
-            raise UsageError(
-                "this file does not exist",
-                where=f"--set {clip_text(text)!r}",
-                expected="KEY=VALUE, or a TOML file of keys",
-                hint=f"did you mean {near[0]!r}?"
-                if near
-                else f"write KEY=VALUE in place of {text}",
-            )
-        for key, value in _flatten_tables(open_scene(text).parse_tables()):
+            raise _make_missing_file_error(text)
+        for key, value in _flatten_tables(open_scene(text).parse_tables(), scene=scene):
             yield f"{key}={format_toml(value)}", text
 
 
-def _flatten_tables(table: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield the dotted keys and values of nested tables."""
+def _make_missing_file_error(name: str) -> UsageError:
+    """Return the error about an override file that does not exist."""
+    near: list[str] = []
+    with suppress(OSError, ValueError):  # the name of the folder is not valid
+        near = get_close_matches(name, map(str, Path(name).parent.glob("*.toml")), 1, 0.7)
+    return UsageError(
+        "this file does not exist",
+        where=f"--set {clip_text(name)!r}",
+        expected="KEY=VALUE, or a TOML file of keys, whose name ends with .toml",
+        hint=f"did you mean {near[0]!r}?" if near else f"write KEY=VALUE in place of {name}",
+    )
+
+
+def _flatten_tables(
+    table: Mapping[str, Any], above: str = "", scene: Mapping[str, Any] = MappingProxyType({})
+) -> Iterator[tuple[str, Any]]:
+    """Yield the dotted keys and values of nested tables.
+
+    A table is not flattened if the tables ``scene`` contain a text or a number of the same name.
+    """
     for key, value in table.items():
-        if isinstance(value, Mapping) and not any(map(_SEPARATOR.search, value)):
-            yield from _flatten_tables(value, f"{above}{key}.")
+        below = scene.get(key, {})
+        if isinstance(below, list):
+            below = {}  # an error explains that a list is not a table
+        is_table = isinstance(value, Mapping) and isinstance(below, Mapping)
+        if is_table and not any(map(_SEPARATOR.search, map(str, value))):
+            yield from _flatten_tables(value, f"{above}{key}.", below)
         else:
             yield f"{above}{key}", value
 
@@ -123,9 +165,14 @@ def _parse_override(text: str, example: Callable[[str], str]) -> tuple[str, Any]
             expected="KEY=VALUE, or a TOML file of keys",
             hint=f"write KEY=VALUE in place of {clip_text(name)}, or leave out --set",
         )
+    separated = _OTHER_SEPARATOR.fullmatch(clip_text(text.strip()))
+    is_path = "/" in name or get_close_matches(Path(name).suffix.lower(), [".toml"], 1, 0.8)
+    # the example has no value if no part of the scene has a key of this name
+    if "=" not in text and is_path and not separated and example(name) == f"{name}=VALUE":
+        raise _make_missing_file_error(name)
     if not name or not value:
         advice = example(clip_text(name)) if name else f"KEY={clip_text(value) or 'VALUE'}"
-        if separated := _OTHER_SEPARATOR.fullmatch(clip_text(text.strip())):
+        if separated:
             advice = shlex.quote("=".join(separated.groups()))
         raise UsageError(
             "the value of the key is missing" if name else "the key is missing",
@@ -167,12 +214,13 @@ def write_example(name: str, tables: Mapping[str, Any], keys: Sequence[str]) -> 
     return text if _PLAIN_ARGUMENT.fullmatch(text) else f"'{text}'"
 
 
-def set_key(data: dict[str, Any], name: str, value: Any, where: str) -> tuple[str, ...]:
-    """Set a dotted key in nested tables, and return the path of the key.
+def set_key(data: dict[str, Any], override: Override) -> tuple[str, ...]:
+    """Set the key of an override in nested tables, and return the path of the key.
 
     The path contains the indices of list entries. Missing tables are added, but list entries must
-    exist. ``where`` is the origin of the override, for error messages.
+    exist. A key that the user wrote into a table also replaces a value that is not a table.
     """
+    name, where = override.key, str(override.origin)
     steps = re.findall(rf"{_WORD_PATTERN}|{_INDEX_PATTERN}", name)
     long = len(steps) > MAX_NESTING or max(map(len, steps), default=0) > LONGEST_KEY
     if long or not _DOTTED_KEY.fullmatch(name):
@@ -193,11 +241,30 @@ def set_key(data: dict[str, Any], name: str, value: Any, where: str) -> tuple[st
         so_far += step if step[0] == "[" or not so_far else f".{step}"
         if len(path) < len(steps):
             near = _suggest_list(holder, str(key))
-            holder = holder.setdefault(key, {}) if isinstance(holder, dict) else holder[key]
-    if isinstance(holder, dict):
-        holder.pop(EXCLUSIVE_KEYS.get(name, ""), None)
-    holder[key] = value
+            if isinstance(holder, dict):
+                is_table = isinstance(holder.setdefault(key, {}), (dict, list))
+                if override.is_from_table and not is_table:
+                    holder[key] = {}
+            holder = holder[key]
+    holder[key] = override.value
     return tuple(path)
+
+
+def delete_excluded_keys(
+    data: dict[str, Any], path: tuple[str, ...], value: Any
+) -> dict[tuple[str, ...], Any]:
+    """Delete the keys that a new value of a key excludes; return them by their paths.
+
+    ``path`` is the path of the key, such as ``("rom", "order")``. The value False excludes no key.
+    """
+    names = _EXCLUSIVE_KEYS.get(path[-2], ()) if len(path) > 1 else ()
+    if path[-1] not in names or value is False:
+        return {}
+    holder: Any = data
+    for step in path[:-1]:
+        holder = holder[int(step) if isinstance(holder, list) else step]
+    excluded = [name for name in names if name in holder and name != path[-1]]
+    return {(*path[:-1], name): holder.pop(name) for name in excluded}
 
 
 def _suggest_list(holder: Any, key: str) -> str | None:

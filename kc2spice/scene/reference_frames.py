@@ -183,20 +183,8 @@ def _require_acceleration_pin(
         elif pin not in part.type.pins_with_mass(part, scene):
             continue
         elif not part.type.follows_frames:
-            body = part.is_body
-            hint = 'use part = "mass", or drive the body by a force instead of its acceleration'
-            if body:
-                hint = f"{_advise_on_acceleration_pin(part, scene)} to the same source"
-            raise UsageError(
-                f"{part.name} has inertia and moves with an accelerated frame, but has no input "
-                "for the acceleration",
-                where=f"{part.name}.{pin}",
-                got=f"a pin in {_describe_frame(frame)}",
-                expected="a body with a port of kind base"
-                if body
-                else "a part type with an input for the acceleration, such as mass",
-                hint=hint,
-            )
+            got = f"a pin in {_describe_frame(frame)}"
+            raise make_ignored_acceleration_error(part, scene, f"{part.name}.{pin}", got)
         elif any(shake.along is None for shake in frame.shakes):
             raise UsageError(
                 f"{part.name} moves in an accelerated frame of reference, and the direction of the "
@@ -207,6 +195,26 @@ def _require_acceleration_pin(
                 hint=f"state `axis` or `dof` of the ports of {frame.body}, or include the mass of "
                 f"{part.name} in the matrices of {frame.body}",
             )
+
+
+def make_ignored_acceleration_error(part: Part, scene: Scene, where: str, got: str) -> UsageError:
+    """Return the error about a part with inertia that ignores an acceleration."""
+    expected = "a part type with an input for the acceleration, such as mass"
+    hint = (
+        'use part = "mass" with the key `mass`, or drive the body by a force instead of its '
+        "acceleration"
+    )
+    if part.is_body:
+        expected = "a body with a port of kind base"
+        hint = f"{_advise_on_acceleration_pin(part, scene)} to the same source"
+    return UsageError(
+        f"{part.name} has inertia and moves with an accelerated frame, but has no input for the "
+        "acceleration",
+        where=where,
+        got=got,
+        expected=expected,
+        hint=hint,
+    )
 
 
 def _advise_on_acceleration_pin(part: Part, scene: Scene) -> str:
@@ -252,15 +260,14 @@ def require_constant_pins(scene: Scene) -> None:
                 warn_user(": ".join(filter(None, (f"{part.name}.{pin}", problem, action))))
                 continue
             where, target = _find_join(part, pin, scene)
-            table, _, key = where.rpartition(".")
-            end = action and f"; {action}"
-            raise UsageError(
-                problem,
-                where=where,
-                got=target,
-                expected=GROUND,
-                hint=SetKey(table, key, f'"{GROUND}"', place="", end=end),
-            )
+            hint = suggest_ground(where, action)
+            raise UsageError(problem, where=where, got=target, expected=GROUND, hint=hint)
+
+
+def suggest_ground(where: str, advice: str) -> SetKey:
+    """Suggest ground for the pin at a dotted key, with advice for a moving pin."""
+    table, _, key = where.rpartition(".")
+    return SetKey(table, key, f'"{GROUND}"', place="", end=advice and f"; {advice}")
 
 
 def _is_constant(net: str, scene: Scene) -> bool:

@@ -112,7 +112,7 @@ class SceneFile:
         self.overrides[path] = origin
         if folder is None and self.base_folder != self.folder:
             folder = self.base_folder
-        for key in _list_paths(path, value):
+        for key in list_paths(path, value):
             self.override_folders.pop(key, None)
             if folder is not None and key[-1] in _FILE_KEYS:
                 self.override_folders[key] = folder
@@ -287,12 +287,12 @@ def _find_gallery() -> Path:
     return Path(str(resources.files("kc2spice") / "scenes"))
 
 
-def _list_paths(path: tuple[str, ...], value: object) -> Iterator[tuple[str, ...]]:
+def list_paths(path: tuple[str, ...], value: object) -> Iterator[tuple[str, ...]]:
     """Yield the path of a value and, if it is a table, the paths of all its keys."""
     yield path
     if isinstance(value, Mapping):
         for key, item in value.items():
-            yield from _list_paths((*path, key), item)
+            yield from list_paths((*path, key), item)
 
 
 def _add_entry_numbers(

@@ -51,7 +51,7 @@ def advise_top_level_key(
     the top level.
     """
     key = str(path[-1]) if path else ""
-    if not isinstance(hint, DeleteKey) or key not in SceneKeys.model_fields:
+    if not isinstance(hint, DeleteKey) or hint.key != key or key not in SceneKeys.model_fields:
         return hint
     for step in path:
         if not isinstance(table, Mapping) or step not in table:

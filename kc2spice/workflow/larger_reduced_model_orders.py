@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.progress import StageTimer
-from kc2spice.core.user_warnings import warn_user
+from kc2spice.core.user_warnings import collect_warnings, warn_user
 from kc2spice.parts.bodies._body_checks import STATE_FACTOR
 from kc2spice.parts.bodies._body_model import get_reduction_settings
 from kc2spice.parts.bodies._linear_body import LinearBody
@@ -209,7 +209,8 @@ def _search_larger_order(
             end = f"an order above {MAX_VECTORS} is not tried"
             break
         try:
-            scene = load_scene(earlier.scene, keys)
+            with collect_warnings():  # the order replaces a tolerance of the scene
+                scene = load_scene(earlier.scene, keys)
             larger = kind.build(scene.parts[part.name], scene, clock)
         except (SimulationError, UsageError) as error:
             end = f"there is no larger model ({error.message})"

@@ -107,6 +107,8 @@ def test_a_default_that_the_scene_overrides_is_not_swept_in_vain(scene, tmp_path
     said = sweep(path, "param.half.R=1k,3k", out=tmp_path / "o", code=2)
     assert "the scene sets this parameter in half.parameters" in said
     assert "write half.parameters.R in place of param.half.R" in said
+    said = sweep(path, "param.half.r=1k,3k", out=tmp_path / "o", code=2)
+    assert "write half.parameters.R in place of param.half.r" in said
     table = rows(sweep(path, "half.parameters.R=1k,3k", out=tmp_path / "o"))
     assert float(table[0]["volts"]) == pytest.approx(divide(1e3), rel=1e-5)
 

@@ -258,6 +258,12 @@ def test_matrices_in_lower_case_and_matrices_that_are_missing(cli):
     Path("beam.K").write_text("%%MatrixMarket matrix coordinate real symmetric\n1 1 1\n1 1 5.0\n")
     found = rows(cli("reduce", "beam.K").stderr)
     assert found["next"] == "add the files beam.B and beam.M"
+    Path("beam.B").write_text("%%MatrixMarket matrix coordinate real general\n1 1 1\n1 1 1.0\n")
+    found = rows(cli("reduce", "beam.K").stderr)
+    assert "the model has no matrix M" in found["head"]
+    assert found["next"] == "add the file beam.M"
+    Path("beam.M").write_text("%%MatrixMarket matrix coordinate real symmetric\n1 1 1\n1 1 2.0\n")
+    assert cli("reduce", "beam.K", "-o", "out").exit_code == 0
 
 
 @pytest.mark.parametrize(
@@ -307,6 +313,20 @@ def test_parameters_of_a_netlist_that_differ_in_letter_case_only(cli, words):
     assert found["next"] == "delete rl or RL; to override rl, write rl in place of RL"
     Path("own.toml").write_text(AMPLIFIED.replace(subckt, f"{subckt}\nparameters = {{ rl = 2e3 }}"))
     assert cli("run", "own.toml").exit_code == 0
+
+
+def test_a_pin_that_the_subckt_line_lacks(cli):
+    """Without the pin, no current flows, so the output would be wrong without an error."""
+    circuit = "* amp\n.subckt amp in out\nE1 a ref in 0 2\nR1 a out 1k\nR2 a ref 1k\n.ends\n"
+    Path("amp.lib").write_text(circuit)
+    Path("own.toml").write_text(AMPLIFIED)
+    ran = cli("run", "own.toml")
+    assert "no current can flow through the pin out" in ran.stderr
+    assert "add ref to the .subckt line" in " ".join(ran.stderr.split())
+    Path("amp.lib").write_text(circuit.replace("amp in out", "amp in out ref"))
+    ran = cli("run", "own.toml")
+    assert ran.exit_code == 0
+    assert "no current" not in ran.stderr
 
 
 @pytest.mark.parametrize("card", ["D1 out ref MAKER", "Q1 out in ref MAKER"])

@@ -5,7 +5,7 @@ import shlex
 from ast import literal_eval
 
 import pytest
-from support import load_scene
+from support import collect_warnings, load_scene
 
 import kc2spice as kc
 
@@ -102,3 +102,153 @@ def test_a_replaced_part_type_is_explained_by_its_override(form, override, tmp_p
     else:
         more = [*overrides, shlex.split(error.hint.partition("--set ")[2])[0]]
     assert load_scene("duffing", more).get_part("spring").keys.stiffness == 5.0
+
+
+def warnings_of(*args):
+    """The scene with overrides, and the texts of the warnings."""
+    with collect_warnings() as texts:
+        scene = load_scene(*args)
+    return scene, list(texts)
+
+
+@pytest.fixture
+def files(tmp_path, monkeypatch):
+    """A function that writes an override file of this name and text in the current folder."""
+    monkeypatch.chdir(tmp_path)
+    return lambda name, text: (tmp_path / name).write_text(text)
+
+
+def test_a_table_of_an_override_file_replaces_a_text(cli, files):
+    """The scene states support = "free"; a sweep accepts the same file as a run."""
+    files("support.toml", '[disc]\nsupport = { node = "12 mm" }\n')
+    keys = load_scene("buzzer_7bb_20_6", ["support.toml"]).get_part("disc").keys
+    option = load_scene("buzzer_7bb_20_6", ['disc.support={ node = "12 mm" }'])
+    assert keys.support == option.get_part("disc").keys.support != "free"
+    sweep = ("sweep", "buzzer_7bb_20_6", "--set", "drive.ac=1,2", "--set", "support.toml")
+    assert cli(*sweep, "--dry-run").exit_code == 0
+    files("support.toml", '[disc]\nsupport = { node = "30 mm" }\n')
+    for command in (("explain", *sweep[1:2], *sweep[4:]), (*sweep, "--dry-run")):
+        found = cli(*command)
+        assert found.exit_code == 2
+        assert "the nodal circle is outside of the body" in found.stderr
+
+
+def test_an_option_for_a_key_below_a_text_is_an_error():
+    with pytest.raises(kc.errors.UsageError, match="is a value, not a table"):
+        load_scene("buzzer_7bb_20_6", ["disc.support.node=12 mm"])
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        {"disc": {"damping": {"ratio": 0.01}}},
+        {"disc": {"damping.ratio": 0.01}},
+        ["disc={ damping = { ratio = 0.01 } }"],
+    ],
+)
+def test_a_table_of_a_part_changes_only_its_keys(overrides):
+    before = load_scene("buzzer_7bb_20_6").get_part("disc")
+    after = load_scene("buzzer_7bb_20_6", overrides).get_part("disc")
+    assert (after.keys.damping.ratio, after.keys.damping.quality) == (0.01, None)
+    assert after.keys.layers == before.keys.layers
+    assert after.pins == before.pins
+
+
+def test_a_table_with_a_part_type_replaces_the_part():
+    table = {"part": "capacitor", "capacitance": 1e-7, "pins": {"a": "gate.out"}}
+    series = load_scene("buzzer_square", {"series": table}).get_part("series")
+    assert (series.type.name, series.keys.capacitance) == ("capacitor", 1e-7)
+
+
+@pytest.mark.parametrize(
+    ("scene", "text", "note"),
+    [
+        ("impact", "rom.tolerance=1e-5", "'rom.tolerance=1e-5' replaces rom.order = 30"),
+        ("buzzer_7bb_20_6", "disc.damping.ratio=0.02",
+         "'disc.damping.ratio=0.02' replaces disc.damping.quality = 50"),
+        ("buzzer_7bb_20_6", "disc.damping.loss_factor=0.04",
+         "'disc.damping.loss_factor=0.04' replaces disc.damping.quality = 50"),
+    ],
+)  # fmt: skip
+def test_a_key_that_excludes_a_key_of_the_scene_replaces_it_with_a_note(scene, text, note):
+    """A damping ratio of 0.02 is a loss factor of 0.04 and a Q factor of 25, not 50."""
+    found, texts = warnings_of(scene, [text])
+    assert texts == [f"{note} of the scene"]
+    if scene == "impact":
+        assert (found.rom.order, found.rom.tolerance) == (None, 1e-5)
+    else:
+        assert found.get_part("disc").keys.damping.zeta == 0.02
+
+
+def test_a_key_that_is_false_excludes_no_key():
+    found, texts = warnings_of("buzzer_7bb_20_6", ["disc.damping.per_material=false"])
+    assert found.get_part("disc").keys.damping.quality == 50
+    assert texts == []
+
+
+def test_the_losses_of_materials_replace_a_stated_damping():
+    found, texts = warnings_of("buzzer_7bb_20_6", ["disc.damping.per_material=true"])
+    damping = found.get_part("disc").keys.damping
+    assert (damping.per_material, damping.quality) == (True, None)
+    assert texts == [
+        "'disc.damping.per_material=true' replaces disc.damping.quality = 50 of the scene"
+    ]
+
+
+@pytest.mark.parametrize(
+    ("texts", "quality", "warned"),
+    [
+        (["q30.toml", "q80.toml"], 80, True),
+        (["disc.damping.quality=30", "q80.toml"], 80, True),
+        (["q30.toml", "disc.damping.quality=80"], 80, False),
+        (["disc.damping.quality=30", "disc.damping={ quality = 80 }"], 80, False),
+        (["disc.damping.loss_tangent=0.1", "disc.damping={ quality = 80 }"], 80, True),
+    ],
+)
+def test_a_replaced_override_is_warned_of(files, texts, quality, warned):
+    """An option after a file may change a key of the file without a warning."""
+    files("q30.toml", "[disc.damping]\nquality = 30\n")
+    files("q80.toml", "[disc.damping]\nquality = 80\n")
+    found, warnings = warnings_of("buzzer_7bb_20_6", texts)
+    assert found.get_part("disc").keys.damping.quality == quality
+    assert any("has no effect, because" in text for text in warnings) == warned
+
+
+@pytest.mark.parametrize("keys", ["order = 20\ntolerance = 1e-5", "tolerance = 1e-5\norder = 20"])
+def test_keys_of_a_file_that_exclude_each_other_are_warned_of(files, keys):
+    files("rom.toml", f"[rom]\n{keys}\n")
+    found, warnings = warnings_of("impact", ["rom.toml"])
+    first, last = (line.partition(" ")[0] for line in keys.splitlines())
+    assert getattr(found.rom, first) is None
+    assert any(f"'rom.{first}=" in text and f"'rom.{last}=" in text for text in warnings)
+
+
+def test_the_advised_table_of_a_new_part_type_keeps_the_pins(cli, files):
+    files("series.toml", '[series]\npart = "capacitor"\ncapacitance = "100 nF"\n')
+    typed = ("explain", "buzzer_square", "--set", "series.toml")
+    advice = cli(*typed).stderr.partition("add  ")[2]
+    assert cli(*typed, *shlex.split(advice)).exit_code == 0
+
+
+def test_a_mistyped_name_of_an_override_file_is_corrected(cli, files):
+    files("over.toml", "[impact]\nvelocity = -1\n")
+    found = cli("explain", "impact", "--set", "over.tml").stderr
+    assert "this file does not exist" in found
+    name = re.search(r"did you mean '(.*)'\?", found)[1]
+    assert cli("explain", "impact", "--set", name).exit_code == 0
+
+
+@pytest.mark.parametrize("deleted", ["order", "tolerance"])
+def test_one_of_two_excluding_keys_of_a_table_is_left_out(cli, deleted):
+    keys = {"order": "30", "tolerance": "1e-5"}
+    both = ", ".join(f"{key} = {value}" for key, value in keys.items())
+    assert "delete the key `order`" in cli("explain", "impact", "--set", f"rom={{ {both} }}").stderr
+    keys.pop(deleted)
+    one = ", ".join(f"{key} = {value}" for key, value in keys.items())
+    assert cli("explain", "impact", "--set", f"rom={{ {one} }}").exit_code == 0
+
+
+def test_the_note_about_a_tolerance_names_the_option_of_the_user(cli, tmp_path):
+    found = cli("export", "impact", "--tolerance", "0.01", "--out", str(tmp_path / "o"))
+    assert found.exit_code == 0
+    assert "warning: --tolerance 0.01 replaces rom.order = 30 of the scene" in found.stderr

@@ -144,8 +144,14 @@ stop = "1 kHz"
          'write  "20 kHz"'),
         ("run buzzer_7bb_20_6 --set disc.support=glued", "not one of the choices", "'glued'",
          'support = "free"'),
-        ("run buzzer_7bb_20_6 --set disc.damping.ratio=0.1", "stated twice, by ratio and quality",
-         "", "damping={"),
+        ("run buzzer_7bb_20_6 --set disc.damping={ratio=0.1,quality=5}",
+         "stated twice, by ratio and quality", "", "delete the key `ratio`"),
+        ("run impact --set rom={order=30,tolerance=1e-5}", "order and tolerance are both set", "",
+         "delete the key `order`"),
+        ("run impact --set over.tml", "this file does not exist", "",
+         "write KEY=VALUE in place of over.tml"),
+        ("run buzzer_7bb_20_6 --set disc.damping.quality=50%", "a Q factor has no unit %", "'50%'",
+         "write  50"),
         ("reduce NAME --method foo", "--method: this reduction method does not exist", "'foo'",
          "leave out --method; for your own method, install its package as in docs/how-to/own_red"),
         ("reduce {table} --order x", "--order: this value is not a number", "x", "a whole number"),
@@ -561,7 +567,7 @@ stiffness = "1 N/m"
     )
     found = rows(cli("run", "own.toml").stderr)
     assert "joins pins of different kinds" in found["head"]
-    assert found["expected"] == "gnd, or a pin of kind um/N: spring.a, spring.b"
+    assert found["expected"] == "a pin of kind um/N: spring.a"
     assert found["next"] == 'write  a = "spring.a"'
 
 

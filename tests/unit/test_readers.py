@@ -547,7 +547,7 @@ def test_electrode_at_nodes_gives_the_capacitance(tmp_path):
         ({"K": 0 * K, "M": M}, ("matrix K is zero",)),
         ({"K": K, "M": 0 * M}, ("matrix M is zero", "leave M out")),
         ({"A": 0 * K}, ("matrix A is zero",)),
-        ({"K": K}, ("the model lacks matrices", "M")),
+        ({"K": K}, ("the model has no matrix M", "add the matrix M")),
         ({"K": K, "M": M, "A": K}, ("the model lacks matrices",)),
         ({"K": K, "M": M[:3, :3]}, ("matrix M", "3 x 3", "6 x 6")),
         (

@@ -31,9 +31,9 @@ from kc2spice.core.key_actions import ChangeKey
 from kc2spice.core.key_errors import validate_table
 from kc2spice.core.quantities import (
     Length,
-    Ratio,
     Section,
     Thickness,
+    UnlimitedQFactor,
     Width,
     make_invalid_value_error,
 )
@@ -107,7 +107,7 @@ class DiscLayer(Section):
     poling: Literal["up", "down"] = Field(
         "up", description="Poling direction of a ceramic layer of the disc"
     )
-    quality: Ratio | None = Field(
+    quality: UnlimitedQFactor | None = Field(
         None,
         gt=0,
         description="Mechanical Q factor of the layer, used if damping.per_material is true",

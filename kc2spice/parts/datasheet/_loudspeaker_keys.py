@@ -18,6 +18,7 @@ from kc2spice.core.quantities import (
     MechanicalDamping,
     Ratio,
     Resistance,
+    UnlimitedQFactor,
     UsualRange,
     si,
 )
@@ -83,21 +84,21 @@ class LoudspeakerKeys(ConductorKeys, PartNumberKeys):
             "the inductance `le`"
         ),
     )
-    qms: Ratio | None = Field(
+    qms: UnlimitedQFactor | None = Field(
         None,
         gt=0,
         description=(
             "Mechanical Q factor of the loudspeaker driver at the resonance frequency `fs`"
         ),
     )
-    qes: Ratio | None = Field(
+    qes: UnlimitedQFactor | None = Field(
         None,
         gt=0,
         description=(
             "Electrical Q factor of the loudspeaker driver at the resonance frequency `fs`"
         ),
     )
-    qts: Ratio | None = Field(
+    qts: UnlimitedQFactor | None = Field(
         None,
         gt=0,
         description=(

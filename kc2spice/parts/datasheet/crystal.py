@@ -8,7 +8,14 @@ from collections.abc import Callable
 import numpy as np
 from pydantic import Field
 
-from kc2spice.core.quantities import Capacitance, Frequency, Inductance, Ratio, Resistance
+from kc2spice.core.quantities import (
+    Capacitance,
+    Frequency,
+    Inductance,
+    Ratio,
+    Resistance,
+    UnlimitedQFactor,
+)
 from kc2spice.netlist.circuit import make_positive_parameter
 from kc2spice.netlist.number_and_name_spelling import round_to_digits
 from kc2spice.parts.datasheet._resonator import (
@@ -67,7 +74,7 @@ class CrystalKeys(RatedKeys):
     r1: Resistance | None = Field(
         None, gt=0, description="Motional resistance of the crystal, also called ESR"
     )
-    q: Ratio | None = Field(
+    q: UnlimitedQFactor | None = Field(
         None, gt=0, description="Q factor of the motional branch of the crystal"
     )
     f_tolerance: Ratio | None = Field(

@@ -194,19 +194,24 @@ class ContactPair:
         part, scene = self.part, self.scene
         selected: str | tuple[str, ...] | None = getattr(part.keys, key)
         if selected is None:
-            offers = []
+            offers, masses = [], []
             for other in scene.parts.values():
                 surface = find_surface(other, scene)
                 if surface is not None and (surface.radius is not None) == spherical:
                     offers.append(surface)
+                elif surface is not None and not other.is_body:
+                    masses.append(surface.part)
             if not offers:
                 kind = ("sphere", "sphere") if spherical else ("body with a flat surface", "kick")
+                hint = f"add the table [{kind[1]}], which needs no keys, to the scene"
+                if spherical and masses:
+                    hint = f'write  {key} = "{masses[0]}"'
                 raise part.wrong(
                     key,
                     f"the scene has no {kind[0]} that {part.name} can touch",
                     got=f"no {kind[0]}",
                     expected=f'{key} = "PART" or "PART.PORT"',
-                    hint=f"add the table [{kind[1]}], which needs no keys, to the scene",
+                    hint=hint,
                 )
             if len(offers) > 1:
                 raise part.wrong(

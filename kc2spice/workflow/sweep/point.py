@@ -220,12 +220,19 @@ def resolve_parameters(build: BuiltScene, deck: Deck, values: Parameters) -> Par
         choices = {key, of_parts.get(key, key)} & known.keys()
         where = f"param.{key}"
         if not choices:
-            raise unknown(
+            error = unknown(
                 "no part of this scene has a parameter of this name",
                 key,
                 dict.fromkeys((*of_parts, *known)),
                 where,
             )
+            for similar, of_library in of_parts.items():
+                owner, _, similar_name = similar.partition(".")
+                scene_key = _find_stated_key(build.scene.parts[owner], similar_name)
+                proposals = [f"did you mean {item!r}?" for item in (similar, of_library)]
+                if scene_key is not None and error.hint in proposals:
+                    error.hint = f"write {scene_key} in place of {where}"
+            raise error
         users = [user for user, stem in owners.items() if stem == owners.get(part)]
         if len(choices) > 1:
             raise UsageError(
@@ -261,16 +268,25 @@ def _require_unset_parameter(part: Part, name: str, key: str) -> None:
     ------
     UsageError : the part states a value of the parameter.
     """
-    for stated, setting in part.type.instance_parameters(part).items():
+    stated = _find_stated_key(part, name)
+    if stated is not None:
+        setting = part.type.instance_parameters(part)[stated.rpartition(".")[2]]
+        raise UsageError(
+            f"the scene sets this parameter in {part.name}.parameters, so another default "
+            "value of the subcircuit has no effect",
+            where=f"param.{key}",
+            got=f"{stated} = {setting}",
+            expected="a parameter that the scene does not set",
+            hint=f"write {stated} in place of param.{key}",
+        )
+
+
+def _find_stated_key(part: Part, name: str) -> str | None:
+    """Find the scene key that states a subcircuit parameter, or return None."""
+    for stated in part.type.instance_parameters(part):
         if stated.lower() == name.lower():
-            raise UsageError(
-                f"the scene sets this parameter in {part.name}.parameters, so another default "
-                "value of the subcircuit has no effect",
-                where=f"param.{key}",
-                got=f"{part.name}.parameters.{stated} = {setting}",
-                expected="a parameter that the scene does not set",
-                hint=f"write {part.name}.parameters.{stated} in place of param.{key}",
-            )
+            return f"{part.name}.parameters.{stated}"
+    return None
 
 
 def run_point(job: SweepSettings, values: Mapping[str, Any]) -> PointResult:

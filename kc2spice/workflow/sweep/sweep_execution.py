@@ -42,6 +42,7 @@ from kc2spice.parts.bodies._varied_keys import read_number_key
 from kc2spice.scene.keys import KeyDescription, list_scene_keys
 from kc2spice.scene.overrides import expand_overrides
 from kc2spice.scene.scene_classes import Scene, compute_scene_hash
+from kc2spice.scene.scene_file import open_scene
 from kc2spice.workflow.sweep.grid import (
     PARAMETER_KEY,
     RANGE_GRAMMAR,
@@ -511,8 +512,10 @@ def load_named_sweep(name: str, sets: Sequence[str] = (), **asked: Any) -> Sweep
         has no effect, or :func:`make_sweep` rejects a range or key.
     """
     _require_distinct_keys(sets)
-    texts, study = expand_overrides(sets), _find_study(name)
-    scene, selected = name, asked
+    study = _find_study(name)
+    scene, selected = name if study is None else study.scene, asked
+    source = read_scene_text(scene)
+    texts = expand_overrides(sets, open_scene(scene).parse_tables())
     if study is not None:
         ranges = {
             key: [f"{key}={v if isinstance(v, str) else format_toml(v)}"]
@@ -523,11 +526,10 @@ def load_named_sweep(name: str, sets: Sequence[str] = (), **asked: Any) -> Sweep
             typed.setdefault(text.partition("=")[0].strip(), []).append(text)
         texts = list(chain.from_iterable((ranges | typed).values()))
         settings = study.model_dump(include={"zipped", "latin", "seed", "metrics"})
-        scene = study.scene
         selected = settings | {
             key: value for key, value in asked.items() if value or key not in settings
         }
-    result = make_sweep(read_scene_text(scene), texts, **selected)
+    result = make_sweep(source, texts, **selected)
     _require_effective_options(result.plan, asked)
     return result
 
